@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import operator
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +21,7 @@ MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, 
 # Where waiting counts as a move it is number 0, for planners try it first.
 WAIT, RIGHT, LEFT, DOWN, UP = range(1 + len(MOVES))
 NUM_MOVES = 1 + len(MOVES)
+_RECTANGLE = re.compile(r"(\d*):(\d*),(\d*):(\d*)")
 
 
 def move_steps(width: int) -> np.ndarray:
@@ -71,6 +73,25 @@ def parse(rows: Sequence[str], tiles: str, known: str = "") -> np.ndarray:
 def draw(layout: Array, tiles: str) -> list[str]:
     """Draw a layout (int8 [H, W]) as H strings, the inverse of `parse`."""
     return ["".join(tiles[tile] for tile in row) for row in np.asarray(layout)]
+
+
+def rectangle(text: str, shape: tuple[int, ...]) -> tuple[slice, slice] | None:
+    """Read ``ROWS,COLUMNS``, each FIRST:END with END left out; a missing end is that of the grid.
+
+    None if the text is no such rectangle. Raises InputError if it is not within the grid's `shape`.
+    """
+    found = _RECTANGLE.fullmatch(text)
+    if not found:
+        return None
+    whole = 0, shape[0], 0, shape[1]
+    ends = [int(one or usual) for one, usual in zip(found.groups(), whole, strict=True)]
+    top, bottom, left, right = ends
+    if not (top < bottom <= shape[0] and left < right <= shape[1]):
+        raise InputError(
+            f"{text}: rows FIRST:END up to {shape[0]} and columns up to {shape[1]}, counted from "
+            "0, the end left out"
+        )
+    return slice(top, bottom), slice(left, right)
 
 
 def by_tile(table: np.ndarray, layout: Array) -> Array:

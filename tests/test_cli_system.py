@@ -33,10 +33,11 @@ def folder(tmp_path):
     (tmp_path / "locked").chmod(0o755)
 
 
-def refused(done, *parts):
+def refusal(done):
+    """Return the line of a refusal; there must be nothing else."""
     lines = done.stderr.splitlines()
     assert done.returncode == 2 and len(lines) == 1 and lines[0].startswith("qdenv: "), done.stderr
-    assert all(part in lines[0] for part in parts), lines[0]
+    return lines[0]
 
 
 @pytest.mark.parametrize(
@@ -53,21 +54,22 @@ def refused(done, *parts):
     ],
 )
 def test_a_folder_without_permission_is_one_line(line, folder):
-    refused(call(line, folder), "locked", "Permission denied")
+    said = refusal(call(line, folder))
+    assert "locked" in said and "Permission denied" in said
 
 
 @pytest.mark.parametrize("line", ["presets", "--help", "train --help", "--version"])
 def test_a_full_standard_output_is_one_line(line, folder):
     with open("/dev/full", "w") as full:
         done = call(line, folder, stdout=full)
-    refused(done, "standard output: No space left on device")
+    assert "standard output: No space left on device" in refusal(done)
 
 
 @pytest.mark.parametrize("stream", [0, 1, 2])
 def test_closed_streams_are_no_traceback_and_no_file(stream, folder):
     done = call("check plan.txt --json f.json", folder, CLOSED.format(stream))
     if stream == 1:
-        refused(done, "standard output is closed")
+        assert "standard output is closed" in refusal(done)
     else:
         assert (done.returncode, done.stderr) == (0, "")
 

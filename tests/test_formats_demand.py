@@ -9,9 +9,9 @@ from scipy.stats import chi2
 
 from qdenv.grid import parse
 from qdenv.io.demand import read_demand
-from qdenv.simulate.mapf.goals import odds_of, rows_of_odds, station_goal, tile_goal, weigh
+from qdenv.simulate.mapf.goals import rows_of_odds, station_goal, tile_goal, weigh
 from qdenv.simulate.mapf.planner import draw_goals, goal_table
-from qdenv.types import InputError, TaskRule
+from qdenv.types import Goal, InputError, TaskRule
 
 TILES = ".@ewio"
 LAYOUT = parse(["e@e.w", "..e.i", "@e..i", "....o"], TILES)
@@ -75,7 +75,9 @@ def test_what_is_no_demand_is_refused_in_a_line(source, tmp_path):
 
 def test_odds_are_written_and_read_back():
     odds = np.array([[0.25, 1e-3, 12345], [0, 1, 1 / 3]])
-    np.testing.assert_allclose(odds_of(rows_of_odds(odds), (2, 3)), odds, rtol=1e-5)
+    everywhere = Goal(lambda layout: np.ones(layout.shape, np.float32))
+    read = weigh(everywhere, rows_of_odds(odds), (2, 3)).weight(np.zeros((2, 3), np.int8))
+    np.testing.assert_allclose(read, odds, rtol=1e-5)
     for rows, message in (
         (("1 2", "3"), "2 x 1 or 2 numbers, the plan 2 x 2 cells"),
         (("1 2", "3 -4"), "0 or more"),
@@ -84,13 +86,13 @@ def test_odds_are_written_and_read_back():
         (("0 0", "0 0"), "0 everywhere"),
     ):
         with pytest.raises(InputError, match=message):
-            odds_of(rows, (2, 2))
+            weigh(everywhere, rows, (2, 2))
 
 
 def test_goals_are_drawn_with_the_odds_of_their_places_and_kinds():
-    odds = odds_of(("1 0 2 0 0", "0 0 3 0 0", "0 4 0 0 0", "9 9 9 9 9"), LAYOUT.shape)
+    odds = "1 0 2 0 0", "0 0 3 0 0", "0 4 0 0 0", "9 9 9 9 9"
     stations = station_goal("wio", TILES, {"i": 7, "o": 3}, {"i": 3, "o": 1})
-    rule = TaskRule(TILES, ".ewio", (weigh(tile_goal("e", TILES), odds), stations))
+    rule = TaskRule(TILES, ".ewio", (weigh(tile_goal("e", TILES), odds, LAYOUT.shape), stations))
     table, draws = goal_table(LAYOUT, rule, LAYOUT.size), 100_000
     cells = np.asarray(table.cells)
     for kind, expected in enumerate(

@@ -63,8 +63,8 @@ def test_a_drawing_decides_about_every_cell_and_can_free_a_station(plan):
         ("zz", "give tiles like w#, rows and columns like 0:7,33:40, or the file"),
         ("", "give tiles like w#"),
         ("w++@", "give tiles like w#"),
-        ("9:12,0:3", "the plan of 4 x 11 has no such cell"),
-        ("3:1,0:3", "has no such cell"),
+        ("9:12,0:3", "9:12,0:3: rows FIRST:END up to 4 and columns up to 11, counted from 0"),
+        ("3:1,0:3", "3:1,0:3: rows FIRST:END up to 4"),
         ("1:2:3,4", "give tiles like w#"),
         ("gone.txt", "gone.txt: cannot be read"),
         (

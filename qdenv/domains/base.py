@@ -261,7 +261,7 @@ class Domain:
         with the generated area. Raises InputError for numbers that are not of this domain, or if
         this domain's own size has no generated area.
         """
-        places = [name for name in ("keep", "demand") if hasattr(self.config, name)]
+        places = [one for one in ("keep", "around", "demand") if hasattr(self.config, one)]
         stays = {} if (rows, cols) == self.shape else dict.fromkeys(places, ())
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         if min(self.generated_shape) < 1:

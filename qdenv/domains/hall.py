@@ -19,7 +19,7 @@ from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.lazy import jax
 from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveInt, Stay, check_range
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import odds_of, station_goal, tile_goal, weigh
+from qdenv.simulate.mapf.goals import station_goal, tile_goal, weigh
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Adjacency, Count, Goal, InputError, Measure, Rules, TaskRule, Tile, Traffic
 
@@ -134,9 +134,8 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal) -> Domain:
 
 def hall(config: HallConfig) -> Domain:
     """Make a hall of one size, whose walls and stations are those of `config.keep`."""
-    endpoints = tile_goal("e", _TILES, config.pick)
-    if config.demand:
-        endpoints = weigh(endpoints, odds_of(config.demand, (config.rows, config.cols)))
+    shape = config.rows, config.cols
+    endpoints = weigh(tile_goal("e", _TILES, config.pick), config.demand, shape)
     times = {sign: int(time) for sign, time in _by_station(config.drop, "drop").items()}
     shares = _by_station(config.shares, "shares")
     domain = storage(config, _TILES, endpoints, station_goal(_STATIONS, _TILES, times, shares))

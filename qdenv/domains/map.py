@@ -11,7 +11,7 @@ from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import odds_of, tile_goal, weigh
+from qdenv.simulate.mapf.goals import tile_goal, weigh
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Measure, TaskRule, Tile, Traffic
 
@@ -43,9 +43,7 @@ def make_map(config: MapConfig) -> Domain:
 
     # Robots go from one goal to the next, as in the League of Robot Runners.
     goal, area = tile_goal(".", _TILES)._replace(name="free cell"), config.rows * config.cols
-    if config.demand:
-        goal = weigh(goal, odds_of(config.demand, (config.rows, config.cols)))
-    tasks = TaskRule(_TILES, ".", (goal,))
+    tasks = TaskRule(_TILES, ".", (weigh(goal, config.demand, (config.rows, config.cols)),))
     return Domain(
         tiles=_TILES,
         generated=_TILES,

@@ -13,23 +13,20 @@ holds at its cell. It comes as
   likely as it is among their goals.
 """
 
-import csv
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qdenv.grid import MOVES
+from qdenv.grid import MOVES, rectangle
 from qdenv.io.files import damaged, read_text
-from qdenv.io.layouts import read_drawing
+from qdenv.io.layouts import read_drawing, split_cells
 from qdenv.lazy import ndimage
 from qdenv.types import InputError, about
 
-_DELIMITERS = ";,\t"
-_ZONE = re.compile(r"(\d+):(\d+),(\d+):(\d+)=([^\s;]+)")
 _FORM = "write zones as ROWS,COLUMNS=WEIGHT, like 0:10,0:20=3, or name a CSV file"
 
 
@@ -43,20 +40,35 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
     """
     text = str(source)
     if "=" in text and not Path(text).is_file():
-        return _zones(text, endpoints.shape)
+        odds = np.ones(endpoints.shape)
+        for zone in re.split(r"[\s;]+", text.strip()):
+            place, sign, weight = zone.partition("=")
+            with about("zone"):
+                found = rectangle(place, odds.shape)
+            if not (found and sign):
+                raise InputError(f"zone {zone!r}: {_FORM}")
+            odds[found] = _number(weight, f"zone {zone!r}")
+        return odds
     if text.lower().endswith((".scen", ".json")):
         return _goals(text, endpoints.shape)
     orders, _, places = (text, "", "") if Path(text).is_file() else text.partition(",")
     if not orders.lower().endswith(".csv"):
         raise InputError(f"{text!r} is no demand: {_FORM}")
-    table = list(_cells(Path(orders)))
+    table = _cells(Path(orders))
     with about(orders):
         if "row" in table[0][1] or "place" in table[0][1]:
-            known = _places(Path(places)) if places else {}
-            return _spread(_count(table, known), endpoints)
+            return _spread(_count(table, places), endpoints)
         if places:
             raise InputError("no column place in its first line, which a file of places is for")
-        return _map(table, endpoints.shape)
+        rows = [
+            [_number(cell or "0", f"line {line}, column {col}") for col, cell in enumerate(cells)]
+            for line, cells in table
+        ]
+        widths, shape = {len(row) for row in rows}, endpoints.shape
+        if (len(rows), *widths) != shape:
+            cols = " or ".join(map(str, sorted(widths)))
+            raise InputError(f"{len(rows)} x {cols} numbers, the plan has {shape[0]} x {shape[1]}")
+        return np.array(rows)
 
 
 def demand_in(folder: Path, fact: Any) -> str | tuple[str, ...]:
@@ -81,61 +93,25 @@ def _goals(path: str, shape: tuple[int, ...]) -> np.ndarray:
     return np.bincount(goals, minlength=shape[0] * shape[1]).reshape(shape).astype(float)
 
 
-def _zones(text: str, shape: tuple[int, ...]) -> np.ndarray:
-    odds = np.ones(shape)
-    for zone in re.split(r"[\s;]+", text.strip()):
-        found = _ZONE.fullmatch(zone)
-        if not found:
-            raise InputError(f"zone {zone!r}: {_FORM}")
-        top, bottom, left, right = map(int, found.groups()[:4])
-        if not (top < bottom <= shape[0] and left < right <= shape[1]):
-            raise InputError(
-                f"zone {zone!r}: rows FIRST:END up to {shape[0]} and columns up to {shape[1]}, "
-                "counted from 0, the end left out"
-            )
-        odds[top:bottom, left:right] = _number(found[5], f"zone {zone!r}")
-    return odds
-
-
-def _cells(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the lines of a spreadsheet that hold something: number, and cells in lower case."""
-    lines = read_text(path, what="CSV").splitlines()
-    delimiter = max(_DELIMITERS, key=max(lines, key=len, default="").count)
-    empty = True
-    try:
-        for number, cells in enumerate(csv.reader(lines, delimiter=delimiter, strict=True), 1):
-            if any(cell.strip() for cell in cells):
-                empty = False
-                yield number, [cell.strip().lower() for cell in cells]
-    except csv.Error as error:
-        raise damaged(path, f"not a CSV file: {error}") from error
-    if empty:
-        raise damaged(path, "the file is empty")
-
-
-def _map(table: list[tuple[int, list[str]]], shape: tuple[int, ...]) -> np.ndarray:
-    rows = [
-        [_number(cell or "0", f"line {line}, column {col}") for col, cell in enumerate(cells)]
-        for line, cells in table
+def _cells(path: Path) -> list[tuple[int, list[str]]]:
+    """List the lines of a spreadsheet that hold something: number, and cells in lower case."""
+    table = split_cells(path, read_text(path, what="CSV").splitlines())
+    lines = [
+        (number, [cell.strip().lower() for cell in cells]) for number, cells in enumerate(table, 1)
     ]
-    widths = {len(row) for row in rows}
-    if (len(rows), *widths) != shape:
-        cols = " or ".join(map(str, sorted(widths)))
-        raise InputError(f"{len(rows)} x {cols} numbers, the plan has {shape[0]} x {shape[1]}")
-    return np.array(rows)
+    if not (found := [line for line in lines if any(line[1])]):
+        raise damaged(path, "the file is empty")
+    return found
 
 
-def _places(path: Path) -> dict[str, tuple[int, int]]:
-    (_, head), *lines = _cells(path)
-    with about(str(path)):
-        place, *cell = (_find(head, name) for name in ("place", "row", "column"))
-        return {cells[place]: _cell(cells, cell, line) for line, cells in lines}
-
-
-def _count(
-    table: list[tuple[int, list[str]]], places: Mapping[str, tuple[int, int]]
-) -> dict[tuple[int, int], float]:
-    """Count the order lines of each cell (row, column)."""
+def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int], float]:
+    """Count the order lines of each cell (row, column); a `file` may say where places are."""
+    places: dict[str, tuple[int, int]] = {}
+    if file:
+        (_, head), *lines = _cells(Path(file))
+        with about(file):
+            name, *where = (_find(head, one) for one in ("place", "row", "column"))
+            places = {cells[name]: _cell(cells, where, line) for line, cells in lines}
     (_, head), *lines = table
     counts: dict[tuple[int, int], float] = defaultdict(float)
     amounts = [index for index, name in enumerate(head) if name in ("count", "quantity")]

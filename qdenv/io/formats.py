@@ -118,11 +118,19 @@ READ_ENDINGS = tuple(
 )
 
 
-def ending_of(path: Path) -> str:
+def _ending_of(path: Path) -> str:
     """Return the longest known ending of a file's name, or any other suffix, in small letters."""
     name = path.name.lower()
     known = [ending for ending in ALL_ENDINGS if name.endswith(ending)]
     return max(known, key=len, default=path.suffix.lower())
+
+
+def holds(ending: str, part: str) -> bool:
+    """Return True if the usual format with an ending has a place for a part of a `Drawing`."""
+    formats = [
+        one.endings[ending] for one in FORMATS.values() if one.write and ending in one.endings
+    ]
+    return part in (formats or [FORMATS["json"].endings[".json"]])[0]
 
 
 def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
@@ -154,7 +162,7 @@ def _find(path: Path, form: str | None, way: str) -> str | None:
     able = {name: one for name, one in FORMATS.items() if getattr(one, way)}
     if form is not None and form not in able:
         raise InputError(f"format {form!r} is not among those to {way}: {choices(form, able)}")
-    ending = ending_of(path)
+    ending = _ending_of(path)
     if form is None:
         fit = [name for name, one in able.items() if ending in one.endings]
         if ending in _SEVERAL and fit:
@@ -186,7 +194,7 @@ def write_drawing(
 
 def _not_held(path: Path, name: str, drawing: Any) -> list[str]:
     """Name what a drawing has, and a file has no place for."""
-    holds = FORMATS[name].endings.get(ending_of(path), ("weights", *_ROBOTS, "details"))
+    holds = FORMATS[name].endings.get(_ending_of(path), ("weights", *_ROBOTS, "details"))
     parts = {
         "weights": ("costs of moves are", drawing.weights is not None),
         "starts": ("the robots' starts are", bool(drawing.starts)),

@@ -9,8 +9,8 @@ from qdenv.io.files import MEGABYTE, damaged, read_bytes, write_atomically
 from qdenv.io.layouts import Drawing, check_size
 from qdenv.types import InputError, Tile
 
-# Told apart by colour-blind eyes too, within each alphabet (tests measure it). Reading a picture,
-# the first tile of a colour is meant.
+# Distinct for readers with colour blindness, too, within each alphabet (tests measure it). In
+# reading a picture the first tile of a colour is meant.
 COLOURS = {
     ".": "#ffffff",
     "@": "#2b2b2b",

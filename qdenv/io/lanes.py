@@ -25,7 +25,7 @@ _VEHICLE = "robot"  # the one type of vehicle
 _FREE, _OCCUPIED = 254, 0  # grey of ROS's pictures
 
 
-class Graph(NamedTuple):
+class _Graph(NamedTuple):
     """The road map of a drawing."""
 
     nodes: list[tuple[str, float, float]]  # symbol of the tile, x and y of its centre in metres
@@ -34,7 +34,7 @@ class Graph(NamedTuple):
     stations: list[int]  # the nodes that are more than floor
 
 
-def make_graph(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> Graph:
+def _make_graph(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> _Graph:
     """Turn the free cells of a drawing into nodes, and the moves allowed into edges."""
     rows, free = drawing.rows, free_cells(drawing.rows, meanings)
     height, width = free.shape
@@ -54,7 +54,7 @@ def make_graph(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> Gr
     parts = number[begin].tolist(), number[end].tolist(), costs[1 + kind, row, col].tolist()
     edges = sorted(zip(*parts, strict=True))
     stations = [index for index, node in enumerate(nodes) if node[0] not in BLANKS]
-    return Graph(nodes, edges, [f"r{row}c{col}" for row, col in places], stations)
+    return _Graph(nodes, edges, [f"r{row}c{col}" for row, col in places], stations)
 
 
 def side_of(path: Path, drawing: Drawing) -> float:
@@ -70,7 +70,7 @@ def _name_of(path: Path, drawing: Drawing) -> str:
     return name if isinstance(name, str) and name else path.name.partition(".")[0]
 
 
-def _lost(drawing: Drawing, meanings: Mapping[str, Tile], graph: Graph | None = None) -> list[str]:
+def _lost(drawing: Drawing, meanings: Mapping[str, Tile], graph: _Graph | None = None) -> list[str]:
     """Name the obstacles that no graph holds, and costs that only say what is dear."""
     used = {symbol for row in drawing.rows for symbol in row}
     names = [tile.name for symbol, tile in meanings.items() if symbol in used and tile.obstacle]
@@ -86,7 +86,7 @@ def _write_json(path: Path, content: Any) -> None:
 
 def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write LIF; a station stands at each cell that is more than floor."""
-    graph, name = make_graph(path, drawing, meanings), _name_of(path, drawing)
+    graph, name = _make_graph(path, drawing, meanings), _name_of(path, drawing)
     nodes = [
         {
             "nodeId": place,
@@ -125,7 +125,7 @@ def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
 
 def write_rmf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write a navigation graph of Open-RMF: stations have names, each lane leads one way."""
-    graph = make_graph(path, drawing, meanings)
+    graph = _make_graph(path, drawing, meanings)
     labels = dict.fromkeys(range(len(graph.nodes)), "")
     for one in graph.stations:
         labels[one] = f"{meanings[graph.nodes[one][0]].name} {graph.names[one]}"
@@ -143,7 +143,7 @@ def write_rmf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
 
 def write_nav2(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write a graph of Nav2's route server with the costs of moves as those of edges."""
-    graph = make_graph(path, drawing, meanings)
+    graph = _make_graph(path, drawing, meanings)
     features: list[dict[str, Any]] = []
     for one, (symbol, x, y) in enumerate(graph.nodes):
         about = {"tile": meanings[symbol].name, "cell": graph.names[one]}

@@ -18,7 +18,14 @@ import numpy as np
 from qdenv.grid import draw, parse
 from qdenv.io.facts import FENCE, facts_beside, make_facts, parse_facts
 from qdenv.io.files import damaged, read_text, write_atomically
-from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, write_drawing
+from qdenv.io.formats import (
+    ALL_ENDINGS,
+    LIBRARIES,
+    READ_ENDINGS,
+    find_reader,
+    holds,
+    write_drawing,
+)
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile
@@ -152,20 +159,29 @@ def read_csv_rows(path: Path) -> Drawing:
         except InputError as error:
             raise damaged(path, error) from error
         return Drawing(rows, weights=weights)
+    table = split_cells(path, lines)
+    if all(len(line) == 1 for line in table):
+        return Drawing([line[0] for line in table])
+    return Drawing(join_cells(path, table))
+
+
+def split_cells(path: Path, lines: Sequence[str]) -> list[list[str]]:
+    """Split the lines of a CSV file into cells; the most frequent delimiter is the file's.
+
+    Raises DamagedError for what is no CSV, InputError for more columns than a layout may have.
+    """
     counts = {one: sum(line.count(one) for line in lines) for one in _DELIMITERS}
     delimiter = max(_DELIMITERS, key=counts.__getitem__)
     if lines and lines[0].lower().startswith("sep="):  # Excel's own hint
         hint, *lines = lines
         delimiter = hint[4:5] if hint[4:5] in (*_DELIMITERS, "|") else delimiter
-    if lines:
-        check_size(len(lines), 1 + max(line.count(delimiter) for line in lines), f"{path}: ")
+    # Before it is split: a line of delimiters would fill the memory with empty cells.
+    widest = max((line.count(delimiter) for line in lines), default=0)
+    check_size(1, 1 + widest, f"{path}: ")
     try:
-        table = list(csv.reader(lines, delimiter=delimiter, strict=True))
+        return list(csv.reader(lines, delimiter=delimiter, strict=True))
     except csv.Error as error:
         raise damaged(path, f"not a CSV file: {error}") from error
-    if all(len(line) == 1 for line in table):
-        return Drawing([line[0] for line in table])
-    return Drawing(join_cells(path, table))
 
 
 def join_cells(path: Path, table: Sequence[Sequence[str]]) -> list[str]:
@@ -235,11 +251,13 @@ def aliases(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> dict[str
     return {other: symbol for other, symbol in (blanks | known).items() if other not in tiles}
 
 
-def endings_for(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> tuple[str, ...]:
-    """List the endings of files that can hold every tile of an alphabet."""
+def endings_for(
+    tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS, costs: bool = False
+) -> tuple[str, ...]:
+    """List the endings of files that can hold every tile of an alphabet, and `costs` of moves."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
-    plain = tuple(ending for ending in ENDINGS if every or ending != ".map")
-    return (*plain, *LIBRARIES)
+    plain = [ending for ending in ENDINGS if every or ending != ".map"]
+    return tuple(one for one in (*plain, *LIBRARIES) if not costs or holds(one, "weights"))
 
 
 def write_layout(
@@ -261,7 +279,7 @@ def write_layout(
     path, rows = Path(path), draw(layout, tiles)
     ending = path.suffix.lower()
     check_size(len(rows), len(rows[0]))
-    if costs is not None and ending in (".txt", ".map", *LIBRARIES):
+    if costs is not None and not holds(ending, "weights"):
         raise InputError(f"{path}: a {ending} holds no costs of moves: write a .json or .csv")
     if ending == ".map":
         table = _on_map(tiles, meanings)

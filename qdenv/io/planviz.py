@@ -14,7 +14,7 @@ import numpy as np
 from qdenv.grid import move_steps
 from qdenv.io.files import write_atomically
 
-_MOVES = np.array(list("WRLDU"))  # in the order of `grid.move_steps`
+MOVES = "WRLDU"  # letters of the moves in the order of `grid`
 
 
 def write_planviz(
@@ -44,7 +44,8 @@ def planviz(
     steps = np.diff(positions, axis=0)
     # Up and down come last: in a layout of one column they are the same steps as right and left.
     kinds = [steps == step for step in move_steps(width)[::-1]]
-    letters = _MOVES[::-1][np.argmax(np.stack(kinds), axis=0)] if len(steps) else _MOVES[:0]
+    names = np.array([*MOVES])
+    letters = names[::-1][np.argmax(np.stack(kinds), axis=0)] if len(steps) else names[:0]
     tasks: list[list[Any]] = []
     events: list[list[int]] = []
     schedules = []

@@ -11,18 +11,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from qdenv import grid
+from qdenv.io import planviz
 from qdenv.io.files import damaged, read_text, write_csv
-from qdenv.io.planviz import write_planviz
 from qdenv.io.records import parse_json, structured
 
 HEAD = ("timestep", "robot", "row", "column")
 _GOALS = ("goal_row", "goal_column", "finished")  # of our own lines
 _MOST = 20_000_000  # robots times timesteps of a run; a hostile file may not fill the memory
 _JSON_BYTES = 256 * 2**20
-# Action -> (rows, columns) of a step; of robots that turn a step leads ahead, first to the east.
-_STEPS = {"R": (0, 1), "D": (1, 0), "L": (0, -1), "U": (-1, 0)}
+# Action -> (rows, columns) of a step; of robots that turn a step leads ahead, clockwise from east.
+_STEPS = dict(zip(planviz.MOVES[1:], grid.MOVES, strict=True))
 _HEADINGS = "ESWN"
-_AHEAD = np.array([*_STEPS.values()])
+_AHEAD = np.array([_STEPS[letter] for letter in "RDLU"])
 _WAITS = "WT"  # T: the planner was too late
 # A stretch of a path of 2026: where it begins, which is ignored, and actions with their numbers.
 _STRETCH = re.compile(r"\[\([^()]*\):\(([^()]*)\)\]")
@@ -68,7 +69,7 @@ def write_paths(
     InputError if the place cannot be written to.
     """
     if path.suffix.lower() == ".json":
-        write_planviz(path, positions, goals, finished, width)
+        planviz.write_planviz(path, positions, goals, finished, width)
         return
     times, robots = np.indices(positions.shape).reshape(2, -1)
     done = np.concatenate([np.zeros_like(finished[:1]), finished]).astype(int)

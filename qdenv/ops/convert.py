@@ -78,12 +78,10 @@ def convert(
 
 def _meanings(domain: Domain) -> dict[str, Tile]:
     """Describe each tile of a domain; what robots do not drive on is an obstacle."""
-    tasks = domain.simulator.tasks
+    tiles = {symbol: domain.meanings.get(symbol, Tile(symbol)) for symbol in domain.tiles}
+    if (tasks := domain.simulator.tasks) is None:
+        return tiles
     return {
-        symbol: domain.meanings.get(symbol, Tile(symbol))._replace(
-            obstacle=symbol not in tasks.traversable
-            if tasks
-            else symbol in domain.meanings and domain.meanings[symbol].obstacle
-        )
-        for symbol in domain.tiles
+        symbol: tile._replace(obstacle=symbol not in tasks.traversable)
+        for symbol, tile in tiles.items()
     }

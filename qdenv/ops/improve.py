@@ -15,6 +15,7 @@ from tyro.conf import arg
 from qdenv.domains.base import DOMAINS, Domain, make_domain
 from qdenv.interrupt import advise
 from qdenv.io.files import write_csv, write_json
+from qdenv.io.formats import holds
 from qdenv.io.layouts import ENDINGS, write_layout
 from qdenv.io.records import read_json, structured, unstructured
 from qdenv.ops import options as args
@@ -22,7 +23,7 @@ from qdenv.ops.output import Table, format_table, say
 from qdenv.progress import Bar
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig, check_costs, describe_planner
+from qdenv.simulate.mapf.settings import PLANNERS, describe_planner
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file
@@ -141,7 +142,7 @@ def improve_folder(
     plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
     advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
     for section, (title, _) in studies.SECTIONS.items():
-        if section == "lanes" and not _reads_costs(config.fleet):
+        if section == "lanes" and not PLANNERS.make(config.fleet.planner).reads_costs:
             say(f"{title}: the planner knows no costs of moves, so none are searched")
             continue
         if not (folder / section / "config.json").exists():
@@ -156,14 +157,6 @@ def improve_folder(
     for one in judged:
         studies.check_candidate(one.candidate, plan, domain)
     return _finish(folder, plan, domain, config, judged)
-
-
-def _reads_costs(fleet: FleetConfig) -> bool:
-    try:
-        check_costs(fleet.planner)
-    except InputError:
-        return False
-    return True
 
 
 def _search(
@@ -233,17 +226,8 @@ def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Seque
         cells = []
         for number, agents, change in zip(one.throughput, counts, one.changes, strict=True):
             figures = change.percent, change.low, change.high
-            rows.append(
-                Improvement(
-                    section,
-                    one.candidate.lanes,
-                    moved,
-                    agents,
-                    float(number.mean()),
-                    *figures,
-                    better,
-                )
-            )
+            facts = section, one.candidate.lanes, moved, agents, float(number.mean())
+            rows.append(Improvement(*facts, *figures, better))
             cells.append("{:+.1f} % ({:+.1f} to {:+.1f})".format(*figures))
         title = studies.SECTIONS[section][0]
         table.append((title, one.candidate.lanes, str(moved), *cells))
@@ -255,8 +239,7 @@ def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Seque
     worse = [studies.SECTIONS[one.candidate.section][0] for one in judged if not one.is_better]
     if worse:
         say(f"nothing better was found by {', '.join(worse)}: no plan is written for that")
-    facts = {"folder": str(folder), "settings": asdict(config)}
-    return Table(rows, facts)
+    return Table(rows, {"folder": str(folder), "settings": asdict(config)})
 
 
 def _report(folder: Path, plan: Plan, better: Sequence[Any], config: Any) -> None:
@@ -287,7 +270,7 @@ def _write(folder: Path, plan: Plan, domain: Domain, one: Any, config: Any) -> N
     costs = after.costs
     target = folder / f"{name}{config.ending}"
     written = [target]
-    if costs is not None and config.ending in (".txt", ".map"):  # which hold no costs
+    if costs is not None and not holds(config.ending, "weights"):
         written.append(folder / f"{name}_guidance.json")
         write_layout(written[1], after.layout, domain.tiles, domain.meanings, costs, **details)
         costs = None

@@ -222,9 +222,7 @@ def repair_layout(
 
 def _endings(plan: Plan, domain: Domain) -> tuple[str, ...]:
     """List the endings of files that can hold what a plan is changed into."""
-    # Text and maps hold no costs of moves.
-    guided = (".json", ".csv") if plan.costs is not None else None
-    return guided or endings_for(domain.tiles, domain.meanings)
+    return endings_for(domain.tiles, domain.meanings, plan.costs is not None)
 
 
 def human_layout(

@@ -1,6 +1,5 @@
 """What must stay of a plan: tiles, rectangles and drawings, which become one drawing."""
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from qdenv.domains.base import FREE, SAME, Domain, check_shape, make_domain
+from qdenv.grid import rectangle
 from qdenv.io.formats import READ_ENDINGS
 from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing
 from qdenv.repair.rules import impossible
@@ -16,7 +16,6 @@ from qdenv.types import InputError, about
 
 # One part, several joined by "+", or a list of these; see `keep_from`.
 Keep: TypeAlias = str | Path | Sequence[str | Path]
-_RECTANGLE = re.compile(r"(\d*):(\d*),(\d*):(\d*)")
 
 
 def keep_from(
@@ -43,12 +42,10 @@ def keep_from(
             continue
         if symbols is None:
             raise InputError(f"keep {part}: there is no plan here to keep it of: give --plan FILE")
-        if found := _RECTANGLE.fullmatch(part):
-            ends = [int(one) if one else None for one in found.groups()]
-            inside = np.zeros((rows, cols), bool)
-            inside[slice(*ends[:2]), slice(*ends[2:])] = True
-        else:
-            inside = np.isin(symbols, list(part))
+        if found := rectangle(part, symbols.shape):
+            cells[found] = symbols[found]
+            continue
+        inside = np.isin(symbols, list(part))
         if not inside.any():
             raise InputError(f"keep {part}: the plan of {rows} x {cols} has no such cell")
         cells = np.where(inside, symbols, cells)
@@ -66,7 +63,7 @@ def _split(keep: Keep, domain: Domain, folder: Path) -> Iterable[str | Path]:
         whole = isinstance(one, Path) and (folder / one).exists()
         for part in [str(one)] if whole else str(one).split("+"):
             tiles = bool(part) and set(part) <= set(domain.tiles)
-            if _RECTANGLE.fullmatch(part) or tiles:
+            if tiles or rectangle(part, domain.shape):
                 yield part
             elif Path(part).suffix.lower() in READ_ENDINGS or (part and (folder / part).exists()):
                 yield folder / part

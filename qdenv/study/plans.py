@@ -55,8 +55,8 @@ class Plan(NamedTuple):
     @property
     def whose(self) -> str:
         """Whose layout it is, and how that is known, as commands print it."""
-        closed = f", {self.closed} cells cut off from the largest part are closed"
-        closed = closed if self.closed else ""
+        cut_off = f", {self.closed} cells cut off from the largest part are closed"
+        closed = cut_off if self.closed else ""
         if self.domain.name == USUAL:
             return f"a hall{closed}"
         if self.assumed:
@@ -72,7 +72,8 @@ class Plan(NamedTuple):
         """
         domain = self.domain
         if "shelves" in (numbers or {}) and getattr(domain.config, "spare_shelves", False):
-            domain = make_domain(replace(domain.config, spare_shelves=0))  # exactly so many
+            # A number of shelves replaces the plan's range.
+            domain = make_domain(replace(domain.config, spare_shelves=0))
         if self.facts.shelf_range:
             numbers = {"shelves": self.facts.shelf_range[0]} | dict(numbers or {})
         domain = domain.fitted(self.layout, numbers)

@@ -61,16 +61,13 @@ def station_goal(
     return Goal(weight, equal, "station")
 
 
-def weigh(goal: Goal, odds: np.ndarray) -> Goal:
-    """Make goals likelier by the odds of their places (float32 [H, W])."""
-    return goal._replace(weight=lambda layout: odds * goal.weight(layout))
+def weigh(goal: Goal, rows: Sequence[str], shape: tuple[int, int]) -> Goal:
+    """Make goals likelier by rows of numbers, one a cell of `shape`; as they are without rows.
 
-
-def odds_of(rows: Sequence[str], shape: tuple[int, int]) -> np.ndarray:
-    """Read rows of numbers, one a cell, as odds of places (float32 [H, W]).
-
-    Raises InputError if they have another shape, a number is none, or negative, or all are 0.
+    Raises InputError if the rows have another shape, a number is none, or negative, or all are 0.
     """
+    if not rows:
+        return goal
     lines = [row.split() for row in rows]
     widths = {len(line) for line in lines}
     if (len(lines), *widths) != shape:
@@ -86,7 +83,7 @@ def odds_of(rows: Sequence[str], shape: tuple[int, int]) -> np.ndarray:
         raise InputError("each number of the demand must be 0 or more")
     if not odds.any():
         raise InputError("the demand is 0 everywhere: no robot would have anything to do")
-    return odds
+    return goal._replace(weight=lambda layout: odds * goal.weight(layout))
 
 
 def rows_of_odds(odds: np.ndarray) -> tuple[str, ...]:
