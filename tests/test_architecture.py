@@ -301,12 +301,12 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 32_227,
+    "lines": 32_223,
     "files": 199,
     "records": 194,
     "public names": 1_224,
     "class names used twice": 0,
-    "functions of two lines": 328,
+    "functions of two lines": 327,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {

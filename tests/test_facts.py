@@ -126,6 +126,7 @@ def test_a_file_of_hers_is_not_replaced(caplog):
         ('domain = "moon"', "the file says domain 'moon', which is unknown"),
         ("rows = 3", "unknown fact 'rows'"),
         ("fleet = 3", "unknown fact 'fleet'"),
+        ('around = [".."]', "unknown fact 'around'"),
         ("x = " + "[" * 5000, "not TOML"),
         ("+++", "one line +++ begins facts, a second one ends them"),
     ],

@@ -118,7 +118,7 @@ def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
     """Give a plan the facts from its file: settings of its domain, what must stay."""
     domain, settings = plan.domain, dict(facts.settings)
     kinds = get_type_hints(type(domain.config))
-    hidden = {"rows", "cols", "fleet", "spare_shelves", *FACTS}
+    hidden = {"rows", "cols", "fleet", "around", "spare_shelves", *FACTS}
     known = sorted(vars(domain.config).keys() - hidden)
     for name in settings:
         if name not in known:
