@@ -301,20 +301,20 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 32_223,
-    "files": 199,
-    "records": 194,
-    "public names": 1_224,
+    "lines": 33_400,
+    "files": 206,
+    "records": 204,
+    "public names": 1_280,
     "class names used twice": 0,
-    "functions of two lines": 327,
+    "functions of two lines": 340,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
     "pipeline:evaluate": 6,
-    "repair.recipe:repair_layout": 96,
-    "run.loop:train": 43,
-    "ops.traffic:simulate_layout": 119,
-    "ops.runs:generate_layout": 180,
+    "repair.recipe:repair_layout": 100,
+    "run.loop:train": 46,
+    "ops.traffic:simulate_layout": 124,
+    "ops.runs:generate_layout": 186,
     "simulate.mapf.pbs.planner:_plan_window": 49,
     "simulate.mapf.negotiated.numba.rounds:_plan_window": 55,
 }
