@@ -52,7 +52,7 @@ def main(
         success = np.isfinite(objective)  # rows that fail enter no archive
         state = tell(state, solutions, Score(objective, objective, tip, success), {"tip": tip})
     archive = search.archive(state)
-    print(f"{algorithm}: QD-score {archive.qd_score():.1f}, coverage {archive.coverage:.1%}")
+    print(f"{algorithm}: QD-score {archive.qd_score:.1f}, coverage {archive.coverage:.1%}")
     table = SavedArchive(archive.elites(), ArchiveSchema(MEASURES, "", {}), str(out))
     table.write_table(out.with_suffix(".csv"), solutions=True)
     figure = draw_archive(new_figure(6, 4.8), archive.objectives, MEASURES, "bent chain")

@@ -88,7 +88,7 @@ def main(
         start = time.process_time()
         archive = jax.block_until_ready(compiled(jax.random.key(seed)))
         spent = 1000 * (time.process_time() - start) / iterations
-        rows.append((float(archive.qd_score()) / len(archive.objectives), 100 * archive.coverage))
+        rows.append((float(archive.qd_score) / len(archive.objectives), 100 * archive.coverage))
         score, coverage = rows[-1]
         print(f"seed {seed}: {score:6.2f} {coverage:6.2f} %   {spent:.2f} CPU ms per iteration")
     mean = np.mean(rows, axis=0)

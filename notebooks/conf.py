@@ -42,7 +42,7 @@ def write_python() -> str:
         if line.startswith("from ."):
             home, name = line.removeprefix("from .").split(" import ")
             homes.setdefault(home, []).append(name.split(" as ")[0])
-    text = ["# Python", "", "Every name below is in `qdenv` itself: `qdenv.simulate_layout`.", ""]
+    text = ["# Python", "", "Every name below is in `qdenv` itself: `qdenv.simulate`.", ""]
     for home, names in homes.items():
         text += [f"## qdenv.{home}", ""]
         for name in names:

@@ -10,24 +10,39 @@ A neural cellular automaton draws a floor plan, a repair (simulated annealing, t
 program where `polish` is full) changes little until every rule holds, a fleet of robots is
 simulated in it, and CMA-MAE keeps an archive of different good automata. `domains` says what
 differs between warehouse, manufacturing and maze; `pipeline` is the chain on one screen; `train`
-is the loop with its run directory, and `study` evaluates saved layouts and runs. Every function
-below is also a command of the same name.
+is the loop with its run directory, and `study` evaluates saved layouts and runs. Every command is
+a function of the same name (`qdenv layout human`: `qdenv.layout_human`).
 
     >>> import qdenv
     >>> run = qdenv.train("quick", "runs/first")
-    >>> plan = qdenv.generate_layout(run, rows=33, cols=36)
-    >>> qdenv.simulate_layout(plan, agents=100)
+    >>> plan = qdenv.generate(run, rows=33, cols=36)
+    >>> qdenv.simulate(plan, agents=100)
 
 A domain, planner, generator or algorithm of your own is a settings record and a function that
 makes it, paired in an `Entry`: register it (`qdenv.DOMAINS.register(name, entry)`), or name it as
 an entry point of your package, so that the `qdenv` command knows it too.
 """
 
+import sys
+from types import ModuleType
+
 import lazy_loader
 
 # __init__.pyi lists the public names, which type checkers read as well. Each is imported when it is
 # first used: `import qdenv` alone is instant.
 _import, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+class _Package(ModuleType):
+    """`qdenv.simulate` is the command; `from qdenv.simulate import mapf` finds the stage."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Set an attribute, but not to the stage of its name, whose import would hide it."""
+        if not (name in __all__ and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> object:

@@ -15,20 +15,19 @@ from .generate import GENERATORS as GENERATORS
 from .generate import Canvas as Canvas
 from .generate import Generator as Generator
 from .generate import NcaConfig as NcaConfig
-from .io.layouts import read_layout as read_layout
-from .io.layouts import write_layout as write_layout
 from .ops.convert import convert as convert
 from .ops.guidance import guide as guide
 from .ops.improve import improve as improve
 from .ops.layouts import check as check
-from .ops.layouts import human_layout as human_layout
+from .ops.layouts import layout_human as layout_human
+from .ops.layouts import layout_symbols as layout_symbols
+from .ops.layouts import layout_tile as layout_tile
 from .ops.layouts import make_environment as make_environment
 from .ops.layouts import render as render
-from .ops.layouts import repair_layout as repair_layout
-from .ops.layouts import tile_layout as tile_layout
+from .ops.layouts import repair as repair
 from .ops.networks import convert_agent as convert_agent
 from .ops.networks import evaluate_agent as evaluate_agent
-from .ops.networks import fit_surrogate as fit_surrogate
+from .ops.networks import surrogate as surrogate
 from .ops.networks import train_agent as train_agent
 from .ops.options import read_plan as read_plan
 from .ops.output import Layout as Layout
@@ -36,7 +35,7 @@ from .ops.pages import explore as explore
 from .ops.pages import replay as replay
 from .ops.pages import report as report
 from .ops.runs import export as export
-from .ops.runs import generate_layout as generate_layout
+from .ops.runs import generate as generate
 from .ops.runs import plot as plot
 from .ops.runs import series as series
 from .ops.searches import presets as presets
@@ -47,7 +46,7 @@ from .ops.studies import compare as compare
 from .ops.studies import scalability as scalability
 from .ops.studies import sweep as sweep
 from .ops.traffic import audit_run as audit_run
-from .ops.traffic import simulate_layout as simulate_layout
+from .ops.traffic import simulate as simulate
 from .pipeline import evaluate as evaluate
 from .pipeline import make_pipeline as make_pipeline
 from .registry import Entry as Entry
@@ -71,7 +70,6 @@ from .simulate.mapf.planner import Planner as Planner
 from .simulate.mapf.planner import World as World
 from .simulate.mapf.settings import PLANNERS as PLANNERS
 from .simulate.mapf.settings import FleetConfig as FleetConfig
-from .study.elites import grow_elite as grow_elite
 from .types import Adjacency as Adjacency
 from .types import Count as Count
 from .types import Goal as Goal
@@ -81,6 +79,5 @@ from .types import Rules as Rules
 from .types import Score as Score
 from .types import TaskRule as TaskRule
 from .types import Traffic as Traffic
-from .view.runs import plot_run as plot_run
 
 __version__: str

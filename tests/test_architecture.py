@@ -48,7 +48,7 @@ ALLOWED = {
     | STAGES
     | PLUGS
     | {"search", "pipeline", "settings", "domains", "view.archive", "view.layouts"}
-    | {"mesh", "shipped"},
+    | {"mesh", "shipped", "configurations"},
     "study": BASE
     | STAGES
     | PLUGS
@@ -312,9 +312,9 @@ MOST = {
 MOST_REACHED = {
     "pipeline:evaluate": 6,
     "repair.recipe:repair_layout": 100,
-    "run.loop:train": 46,
-    "ops.traffic:simulate_layout": 124,
-    "ops.runs:generate_layout": 186,
+    "run.loop:train": 55,
+    "ops.traffic:simulate": 124,
+    "ops.runs:generate": 186,
     "simulate.mapf.pbs.planner:_plan_window": 49,
     "simulate.mapf.negotiated.numba.rounds:_plan_window": 55,
 }

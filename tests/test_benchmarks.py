@@ -38,7 +38,7 @@ def test_a_table_has_the_numbers_and_texts_of_its_rows(capsys):
 def test_fleets_are_compared_with_recorded_runs(tmp_path):
     layout = qdenv.find_domain("warehouse-even").human()
     (tmp_path / "layouts").mkdir()
-    qdenv.write_layout(tmp_path / "layouts" / "a.json", layout, ".@ew")
+    qdenv.render(layout, domain="warehouse-even").save(tmp_path / "layouts" / "a.json")
     record = {"layout": "a.json", "domain": "warehouse_even", "n_agents": 5, "T": 20, "cpu_s": 4.0}
     records = [record | {"throughput": rate, "congested": False} for rate in (0.1, 0.3)]
     reference = tmp_path / "runs.json"
@@ -47,7 +47,7 @@ def test_fleets_are_compared_with_recorded_runs(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == result
     (row,) = result["fleets"]
     options = {"domain": "warehouse-even", "timesteps": 20, "effort": "low"}
-    own = [qdenv.simulate_layout(layout, 5, True, seeds=(seed,), **options) for seed in range(2)]
+    own = [qdenv.simulate(layout, 5, True, seeds=(seed,), **options) for seed in range(2)]
     assert row["throughputs"] == [runs["mean_of_all"] for runs in own]
     assert row["C++"] == pytest.approx(0.2) and row["broken"] == 0
     assert row["ratio"] == pytest.approx(row["throughput"] / 0.2)

@@ -55,8 +55,8 @@ def test_the_same_costs_give_the_same_runs_wherever_they_are_stated(plans, capsy
     assert off["runs"] == plain["runs"] and "guidance" not in off["settings"]
     options = dict(agents=8, planner="pibt", timesteps=60, seeds=2)
     for guidance in ("crisscross", Path("costs.csv"), crisscross(HALL)):
-        found = qdenv.simulate_layout("plain.json", guidance=guidance, **options)
-        assert found["runs"] == qdenv.simulate_layout("guided.json", **options)["runs"]
+        found = qdenv.simulate("plain.json", guidance=guidance, **options)
+        assert found["runs"] == qdenv.simulate("guided.json", **options)["runs"]
     layout = qdenv.render("guided.json")
     np.testing.assert_array_equal(qdenv.read_plan(layout).costs, layout.costs)
 
@@ -83,7 +83,7 @@ def test_tables_pages_and_reports_name_their_guidance(plans, capsys):
 
 
 def test_a_repaired_plan_keeps_its_costs(plans):
-    made = np.asarray(qdenv.repair_layout("guided.json", out="mended.json", polish="none"))
+    made = np.asarray(qdenv.repair("guided.json", out="mended.json", polish="none"))
     costs, moves = qdenv.read_plan("mended.json").costs, existing_moves(made != 1)
     assert (made != HALL).any() and (np.isfinite(costs) == moves).all()
     both = moves & existing_moves(HALL != 1)

@@ -109,14 +109,14 @@ def test_a_search_takes_a_planners_settings_and_says_them(caught, capsys):
 def test_functions_take_a_planners_name_or_its_settings():
     fleet = {"agents": 3, "timesteps": 20, "seeds": 1, "domain": "warehouse-even"}
     layout = parse(PLAN, TILES)
-    by_name = qdenv.simulate_layout(layout, planner="pibt", **fleet)
-    settings = qdenv.simulate_layout(layout, planner=PibtConfig("host"), stop=False, **fleet)
+    by_name = qdenv.simulate(layout, planner="pibt", **fleet)
+    settings = qdenv.simulate(layout, planner=PibtConfig("host"), stop=False, **fleet)
     assert by_name["runs"] == settings["runs"] and by_name["planner"] == "pibt, swap False"
     assert (by_name["stop"], settings["stop"]) == (True, False)
     (row,) = qdenv.compare([layout], planner=PibtConfig("host"), **fleet)
     assert row.mean_of_all == by_name["mean_of_all"]
     with pytest.raises(InputError, match="pibt has none: leave it out"):
-        qdenv.simulate_layout(layout, planner="pibt", effort="low", **fleet)
+        qdenv.simulate(layout, planner="pibt", effort="low", **fleet)
 
 
 def test_a_configuration_takes_a_planners_name_its_settings_or_an_effort(limited):

@@ -12,7 +12,7 @@ from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 from qdenv.ops.output import Layout
 from qdenv.ops.studies import compare
-from qdenv.ops.traffic import simulate_layout
+from qdenv.ops.traffic import simulate
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.settings import EvaluationConfig
 from qdenv.simulate.mapf.audit import audit
@@ -46,7 +46,7 @@ def test_stays_of_a_factory_are_options_and_arguments(factory, capsys):
     slow, _ = finished("--stays", "25", "25", "25", "--no-stop")
     assert 0 < sum(slow) < sum(usual) / 1.5
     tasks = {"stays": (25, 25, 25)}
-    facts = simulate_layout("factory.json", 8, tasks=tasks, verdict=False, stop=False, **QUICK)
+    facts = simulate("factory.json", 8, tasks=tasks, verdict=False, stop=False, **QUICK)
     assert [one["finished_tasks"] for one in facts["runs"]] == slow
     assert run(["compare", "factory.json", *WORDS, "--stays", "-1", "0", "0"]) == 2
     assert "stays must be at least 0, not -1" in capsys.readouterr().err
@@ -54,7 +54,7 @@ def test_stays_of_a_factory_are_options_and_arguments(factory, capsys):
 
 def test_a_domain_without_such_a_setting_says_which_it_has(factory):
     with pytest.raises(InputError, match="manufacturing has no setting 'pick' of tasks: it has st"):
-        simulate_layout("factory.json", 8, tasks={"pick": 3}, **QUICK)
+        simulate("factory.json", 8, tasks={"pick": 3}, **QUICK)
 
 
 DRAWING = """\

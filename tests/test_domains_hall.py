@@ -145,7 +145,7 @@ def test_aisles_and_racks_are_settings_that_check_and_repair_take(tmp_path):
         "aisle narrower than 2 cells: 3 cells, the first at row 0, column 3",
         "shelf in no rack of 1 x 3: 4 cells, the first at row 1, column 3",
     ]
-    made = qdenv.repair_layout(path, polish="none", shelves=6, aisle=2, rack="1x3")
+    made = qdenv.repair(path, polish="none", shelves=6, aisle=2, rack="1x3")
     fitted = read_plan(path).fitted({"shelves": 6, "aisle": 2, "rack": "1x3"})
     assert audit(made.layout, fitted.rules()) == []
     assert audit(made.layout, fitted.resized(7, 13, {"aisle": 4}).rules())
@@ -161,7 +161,7 @@ def test_aisles_and_racks_are_settings_that_check_and_repair_take(tmp_path):
 )
 def test_aisles_and_racks_that_cannot_be_are_refused(settings, message, tmp_path):
     with pytest.raises(InputError, match=message):
-        qdenv.repair_layout(save(tmp_path / "hall.txt"), **settings)
+        qdenv.repair(save(tmp_path / "hall.txt"), **settings)
 
 
 def test_generators_draw_racks_into_a_plan(tmp_path, monkeypatch):

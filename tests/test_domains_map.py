@@ -21,7 +21,7 @@ def save(path, rows):
 
 
 def test_robots_drive_from_goal_to_goal_on_any_free_cells(tmp_path):
-    done = qdenv.simulate_layout(
+    done = qdenv.simulate(
         save(tmp_path / "own.map", [".....", ".@.@.", "....."]),
         agents=3,
         domain="map",
@@ -40,12 +40,12 @@ def test_free_cells_cut_off_from_the_largest_part_are_closed_and_that_is_said(tm
     assert closed.whose == "domain map, 2 cells cut off from the largest part are closed"
     assert np.argwhere(plan.layout != closed.layout).tolist() == [[1, 5], [2, 5]]
     assert close_parts(closed) is closed
-    done = qdenv.simulate_layout(
+    done = qdenv.simulate(
         tmp_path / "own.map", agents=10, domain="map", timesteps=9, seeds=1, stop=False
     )
     assert done["runs"][0]["end_timestep"] == 9
     with pytest.raises(InputError, match="11 agents need as many free cells, the layout has 10"):
-        qdenv.simulate_layout(tmp_path / "own.map", agents=11, domain="map", timesteps=9)
+        qdenv.simulate(tmp_path / "own.map", agents=11, domain="map", timesteps=9)
 
 
 def test_what_a_repair_can_join_stays_as_it_is(tmp_path):
@@ -72,7 +72,7 @@ def test_a_map_is_written_and_read_back_equal(tmp_path):
 @pytest.mark.skipif(not (STUDY_DATA / "formats").exists(), reason="nobody has the examples here")
 def test_a_published_map_is_driven_on():
     path = STUDY_DATA / "formats" / "planviz_random-32-32-20.map"
-    done = qdenv.simulate_layout(path, agents=50, domain="map", timesteps=60, seeds=1, audit=True)
+    done = qdenv.simulate(path, agents=50, domain="map", timesteps=60, seeds=1, audit=True)
     assert done["valid"] and done["mean_of_all"] > 1
 
 

@@ -40,7 +40,7 @@ def test_it_leaves_costs_a_picture_and_a_table(found, plan):
         rows = list(csv.DictReader(file))
     for row in rows:
         source = path / FILE if row["layout"] == "after" else plan
-        again = qdenv.simulate_layout(
+        again = qdenv.simulate(
             source, agents=int(row["agents"]), timesteps=40, planner="pibt", seeds=10
         )
         assert again["mean_of_all"] == pytest.approx(float(row["mean_of_all"]), rel=1e-4)

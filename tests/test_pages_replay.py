@@ -304,7 +304,7 @@ def test_the_command_writes_the_page_films_and_facts(tmp_path, monkeypatch, caps
     said = capsys.readouterr().out.splitlines()
     assert said[-4:] == ["plan_replay.html", "plan_replay.gif", "film.mp4", "facts.json"]
     facts = json.loads((tmp_path / "facts.json").read_text())
-    again = qdenv.simulate_layout("plan.txt", agents=8, timesteps=20, seeds=[4], effort="low")
+    again = qdenv.simulate("plan.txt", agents=8, timesteps=20, seeds=[4], effort="low")
     assert facts["throughput"] == pytest.approx(again["mean_of_all"], rel=1e-5)
     assert (facts["page"], facts["gif"]) == ("plan_replay.html", "plan_replay.gif")
     assert facts["megabytes"] < 0.2 and facts["settings"]["seed"] == 4

@@ -30,10 +30,10 @@ def experiment(backend: str) -> qdenv.RunConfig:
     )
     config = qdenv.RunConfig(
         evaluation=evaluation,
-        algorithm=CmaMaeConfig(emitters=2, batch=2, sigma0=0.5),
+        algorithm=CmaMaeConfig(emitters=2, batch=9, sigma0=0.5),
         archive=((0, 8, 8), (0, 1, 10)),
     )
-    return qdenv.make_experiment(config)
+    return qdenv.make_experiment(config, batch=2)
 
 
 def callbacks(experiment) -> int:

@@ -154,7 +154,7 @@ def test_one_batch_into_a_soft_archive_by_hand(wrap):
     assert archive.thresholds.tolist() == [2.5, 1]
     assert archive.objectives.tolist() == [4, -np.inf]
     assert archive.genotypes[0].tolist() == [1]
-    assert float(archive.qd_score()) == 4 and float(archive.coverage) == 0.5
+    assert float(archive.qd_score) == 4 and float(archive.coverage) == 0.5
 
 
 @pytest.mark.parametrize("soft", [False, True])
@@ -167,7 +167,7 @@ def test_rows_that_failed_or_are_not_finite_enter_nothing(soft):
     filled, insertion = add(archive, objective, measures, success)
     assert insertion.status.tolist() == [0, 0, 0, 0, 0, 0, 2]
     assert np.isneginf(insertion.value[:6]).all() and float(insertion.value[6]) == 1.0
-    assert float(filled.qd_score()) == 1.0 and int(filled.filled.sum()) == 1
+    assert float(filled.qd_score) == 1.0 and int(filled.filled.sum()) == 1
     alone, _ = add(archive, objective[6:], measures[6:])
     for left, right in zip(jax.tree.leaves(filled), jax.tree.leaves(alone), strict=True):
         if left is filled.genotypes:
@@ -180,7 +180,7 @@ def test_rows_that_failed_or_are_not_finite_enter_nothing(soft):
 
 def test_scores_and_samples_of_an_empty_archive_are_defined():
     archive = GridArchive.empty(np.zeros(3, np.float32), GRID)
-    numbers = archive.qd_score(), archive.coverage, archive.objectives.argmax()
+    numbers = archive.qd_score, archive.coverage, archive.objectives.argmax()
     assert [float(number) for number in numbers] == [0, 0, 0]
     key = jax.random.key(0)
     assert archive.sample_solutions(key, 2, jnp.full(3, 7.0)).tolist() == [[7.0] * 3] * 2
@@ -201,9 +201,12 @@ def test_qdax_metrics_and_selectors_accept_the_archive():
     archive, _ = add(archive, [1.0, 2.5, 4.0], [[-1, 0], [0, 1.5], [0, 1.5]])
     metrics = default_qd_metrics(archive, qd_offset=0.0)
     assert [float(metrics[name]) for name in ("qd_score", "max_fitness")] == [5.0, 4.0]
-    assert float(metrics["qd_score"]) == float(archive.qd_score())
+    assert float(metrics["qd_score"]) == float(archive.qd_score)
     np.testing.assert_allclose(metrics["coverage"], 100 * archive.coverage)
-    assert float(archive.qd_score(offset=-1)) == float(default_qd_metrics(archive, 1.0)["qd_score"])
+    assert float(archive.qd_score + archive.filled.sum()) == float(
+        default_qd_metrics(archive, 1.0)["qd_score"]
+    )
+    assert repr(archive).startswith("GridArchive(") and len(repr(archive)) < 80
     chosen = archive.select(jax.random.key(0), 6, UniformSelector())
     assert set(np.asarray(chosen.genotypes).ravel().tolist()) <= {0.0, 2.0}
     again = archive.add(np.ones((1, 1)), np.array([[1.0, 0.0]]), np.array([9.0]))

@@ -57,7 +57,7 @@ def test_a_search_without_a_run_is_a_table_and_an_archive_of_pyribs(tmp_path):
     assert frame["solution_1"].tolist() == [2, 4, 6] and frame["runs_1"].tolist() == [1, 3, 5]
     assert len(saved(GridArchive.empty(np.zeros(2, np.float32), GRID)).to_pandas()) == 0
     pytest.importorskip("ribs.archives", reason="needs pip install 'qdenv[pyribs]'")
-    theirs = archive.to_ribs().data(return_type="dict")
+    theirs = archive.to_ribs(["runs"]).data(return_type="dict")
     assert theirs["index"].tolist() == [0, 5, 10] and theirs["objective"].tolist() == [3, 1, 2]
     assert theirs["runs"].tolist() == [[0, 1], [2, 3], [4, 5]]
 

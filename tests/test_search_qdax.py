@@ -68,7 +68,7 @@ def test_the_driver_runs_qdax_isoline_emitter_on_our_archive():
     repertoire, _, metrics = drive(emitter, 25, first=6)
     check_elites(repertoire)
     assert (np.diff(metrics["qd_score"]) >= 0).all()
-    np.testing.assert_allclose(metrics["qd_score"][-1], repertoire.qd_score(), rtol=1e-6)
+    np.testing.assert_allclose(metrics["qd_score"][-1], repertoire.qd_score, rtol=1e-6)
     assert float(metrics["coverage"][-1]) > 20
 
 
@@ -98,4 +98,4 @@ def test_the_driver_reaches_the_archive_of_our_own_loop_bit_for_bit(strategy):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(state.learning.thresholds, own.archives.learning.thresholds)
     np.testing.assert_array_equal(state.emitters.strategy.mean, own.emitters.strategy.mean)
-    np.testing.assert_allclose(metrics["qd_score"][-1], archive.qd_score(), rtol=1e-6)
+    np.testing.assert_allclose(metrics["qd_score"][-1], archive.qd_score, rtol=1e-6)

@@ -111,7 +111,7 @@ def test_nothing_ever_holds_a_solution_for_every_cell():
 
     assert workspace(running.init, key) < dense / 10
     # What the progress of a run and its files ask of an archive.
-    assert workspace(lambda state: algorithm.archive(state).qd_score(), state) < dense / 10
+    assert workspace(lambda state: algorithm.archive(state).qd_score, state) < dense / 10
 
     def take(state, cells):
         return jax.tree.map(lambda leaf: leaf[cells], algorithm.archive(state))

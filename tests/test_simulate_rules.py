@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import qdenv.simulate
+from qdenv.simulate import __doc__ as rules
 from qdenv.simulate.mapf.audit import check_moves, jammed_windows, replay_tasks
 from qdenv.simulate.mapf.fleet import FleetConfig, drive, place, prepare, run_settings
 from qdenv.simulate.mapf.goals import tile_goal
@@ -19,7 +19,7 @@ from qdenv.types import TaskRule
 
 TILES = ".#12"
 BLOCK = re.compile(r"^ {4}(allowed|forbidden|tasks|jam|no jam): (.*)\n((?: {4}\S.*\n)+)", re.M)
-EXAMPLES = BLOCK.findall(qdenv.simulate.__doc__)
+EXAMPLES = BLOCK.findall(rules)
 jit_or_not = pytest.mark.parametrize("variant", [jax.jit, lambda f: f], ids=["jit", "no jit"])
 
 

@@ -25,7 +25,7 @@ AGENTS = 200
 def report(path: Path, domain: str, effort: str) -> dict:
     """Simulate a layout with two seeds over 400 steps, every trajectory audited."""
     options = {"domain": domain, "timesteps": 400, "seeds": 2, "effort": effort}
-    return qdenv.simulate_layout(path, AGENTS, audit=True, **options)
+    return qdenv.simulate(path, AGENTS, audit=True, **options)
 
 
 def congestion(path: Path, seeds: Sequence[int], **changes) -> list[bool]:

@@ -227,16 +227,16 @@ def test_too_few_elites_are_refused_in_one_line(tmp_path, capsys, monkeypatch):
     assert "at least 50 elites, this archive has 49" in said.err and said.err.count("\n") == 1
     assert said.out == "" and not list(tmp_path.glob("*.*"))
     with pytest.raises(InputError, match="at least 50 elites"):
-        qdenv.fit_surrogate(run)
+        qdenv.surrogate(run)
 
 
 def test_from_python_a_surrogate_is_a_function(run, trials):
     sizes = {"channels": 4, "blocks": 0, "epochs": 60, "minibatch": 16, "rate": 3e-3}
-    facts = qdenv.fit_surrogate(run, seeds=1, **sizes)
+    facts = qdenv.surrogate(run, seeds=1, **sizes)
     assert facts["seeds"] == [0] and facts["surrogate"]["epochs"] == 60
     for number, figures in enumerate(facts["skills"].values()):
         assert figures["r2"]["splits"] == [trials[0].skills[number]["r2"]]
     with pytest.raises(InputError, match="unknown setting 'epoch'"):
-        qdenv.fit_surrogate(run, epoch=3)
+        qdenv.surrogate(run, epoch=3)
     with pytest.raises(InputError, match="unknown size 'huge'"):
-        qdenv.fit_surrogate(run, size="huge")
+        qdenv.surrogate(run, size="huge")

@@ -200,7 +200,7 @@ def test_a_verdict_changes_no_number_of_the_runs():
 
 
 def test_a_report_counts_what_the_runs_did():
-    facts = qdenv.simulate_layout(HALLS, 12, True, timesteps=90, seeds=2, planner="pibt")
+    facts = qdenv.simulate(HALLS, 12, True, timesteps=90, seeds=2, planner="pibt")
     assert facts["valid"] is True and "verdict" not in facts
     assert 0.1 < facts["waiting_share"] < 0.9
     assert len(facts["worst_cells"]) == 10

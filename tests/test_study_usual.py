@@ -50,7 +50,7 @@ def test_commands_and_functions_take_them_and_say_so(hall, capsys):
     assert json.loads(Path("f.json").read_text())["agents"] == 1400
     assert run(["compare", str(hall), *quick]) == 0
     assert f"{LINE}1400 agents unless stated" in capsys.readouterr().out
-    facts = qdenv.simulate_layout(hall, timesteps=6, seeds=1, planner="pibt")
+    facts = qdenv.simulate(hall, timesteps=6, seeds=1, planner="pibt")
     table = qdenv.compare([hall], timesteps=6, seeds=1, planner="pibt")
     assert (facts["agents"], table[0].agents) == (1400, 1400)
 

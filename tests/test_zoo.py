@@ -22,6 +22,7 @@ from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import NamedGenerator, named, names
 from qdenv.study.elites import Unrepaired, repair_grown
 from qdenv.types import InputError
+from qdenv.view.runs import plot_run
 
 pytestmark = pytest.mark.slow
 
@@ -139,11 +140,11 @@ def test_commands_and_functions_take_names_of_the_zoo(tmp_path, monkeypatch, cap
     assert run(["generate", EVEN, "--elite", "regular", *small, "--shelves", "20"]) == 0
     one, other = (read_layout(name, ".@ew") for name in ("a.json", "layout.json"))
     np.testing.assert_array_equal(one, other)
-    plan = qdenv.generate_layout(f"{EVEN}/regular", rows=12, cols=16, shelves=20)
+    plan = qdenv.generate(f"{EVEN}/regular", rows=12, cols=16, shelves=20)
     np.testing.assert_array_equal(plan.layout, one)
-    best = qdenv.generate_layout(EVEN, rows=12, cols=16, shelves=20)
+    best = qdenv.generate(EVEN, rows=12, cols=16, shelves=20)
     np.testing.assert_array_equal(
-        best.layout, qdenv.generate_layout(f"{EVEN}/best", rows=12, cols=16, shelves=20).layout
+        best.layout, qdenv.generate(f"{EVEN}/best", rows=12, cols=16, shelves=20).layout
     )
     assert (best.layout != one).any()
     assert run(["series", f"{EVEN}/regular", "--sizes", "9x14", "--out", "s"]) == 0
@@ -160,7 +161,7 @@ def test_a_plot_goes_where_the_command_is_given(tmp_path, monkeypatch, capsys):
         assert {path.name for path in Path(folder).iterdir()} >= {"archive.png", "best_layout.png"}
     assert "mine/archive.png" in capsys.readouterr().out
     with pytest.raises(InputError, match="ships with qdenv"):
-        qdenv.plot_run(EVEN)
+        plot_run(EVEN)
     with pytest.raises(InputError, match="ships with qdenv"):
         qdenv.resume(EVEN)
 

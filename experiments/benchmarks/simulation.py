@@ -29,7 +29,7 @@ DOMAINS = {  # by their names in the file of recorded runs
     "warehouse_uneven": "warehouse-uneven",
     "manufacture": "manufacturing",
 }
-PLANNERS: dict[str, Any] = {  # name -> options of `simulate_layout`
+PLANNERS: dict[str, Any] = {  # name -> options of `simulate`
     "low": {"effort": "low"},
     "high": {"effort": "high"},
     "published": {"planner": qdenv.PbsConfig(rule="published")},
@@ -101,7 +101,7 @@ def recorded_cases(reference: Path, layouts: Path, longest: int) -> Iterator[Cas
         if timesteps > longest:
             print(f"{name}: left out, T {timesteps} is above --longest {longest}")
             continue
-        tiles = qdenv.read_layout(layouts / name, qdenv.find_domain(kind).tiles)
+        tiles = qdenv.read_plan(layouts / name, kind).layout
         yield name, kind, tiles, agents, timesteps, runs
 
 
@@ -109,10 +109,9 @@ def simulate_case(case: Case, planner: str, seeds: int, audit: bool) -> Row:
     """Simulate a case with one planner, one run at a time: a row of the table."""
     name, kind, tiles, agents, timesteps, recorded = case
     options = {"domain": kind, "timesteps": timesteps, **PLANNERS[planner]}
-    # Given one seed at a time, `simulate_layout` uses one core: CPU seconds are then comparable.
+    # Given one seed at a time, `simulate` uses one core: CPU seconds are then comparable.
     results = [
-        qdenv.simulate_layout(tiles, agents, audit, seeds=(seed,), **options)
-        for seed in range(seeds)
+        qdenv.simulate(tiles, agents, audit, seeds=(seed,), **options) for seed in range(seeds)
     ]
     throughputs = [result["runs"][0]["throughput"] for result in results]
     row: Row = {
@@ -186,7 +185,7 @@ def scale(
         repair = repair_layout(layout, domain.rules(), 0, config.repair)
         agents = max(round(density * layout.size), 1)
         options: Row = {"domain": domain.name, "seeds": (0,), "effort": effort, "stop": False}
-        simulate = partial(qdenv.simulate_layout, np.asarray(repair.layout), agents, **options)
+        simulate = partial(qdenv.simulate, np.asarray(repair.layout), agents, **options)
         first = simulate(timesteps=WINDOW)["cpu_seconds_per_run"]
         whole = simulate(timesteps=timesteps, audit=audit)
         windows, seconds = timesteps / WINDOW, whole["cpu_seconds_per_run"]

@@ -43,7 +43,7 @@ def pipeline(
         seed: of the search.
         json: file of the result.
     """
-    experiment = qdenv.make_experiment(replace(qdenv.find_preset(preset), seed=seed))
+    experiment = qdenv.make_experiment(preset, seed=seed)
     if experiment.pipeline.pool is None:
         raise qdenv.InputError(f"nothing is repaired in {preset}: choose another preset")
     evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))

@@ -134,7 +134,7 @@ def check(
     return Table(broken, facts, exit_code=1 if broken else 0)
 
 
-def repair_layout(
+def repair(
     layout: args.Source,
     domain: args.DomainName = None,
     keep: args.KeepCells = None,
@@ -180,11 +180,11 @@ def repair_layout(
     rows, cols = plan.layout.shape
     say(f"{name}: {rows} x {cols}, {plan.whose}")
     # These import jax, a compiler and a solver: refusals are faster without them.
-    from qdenv.repair.recipe import repair_layout as repair
+    from qdenv.repair.recipe import repair_layout
     from qdenv.score import similarity
 
     with Bar("repairing") as bar:
-        result = repair(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
+        result = repair_layout(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
     repaired = np.asarray(result.layout)
     changes = list_changes(plan.layout, repaired, fitted)
     weights = plan.domain.similarity_weights(plan.layout)
@@ -225,7 +225,7 @@ def _endings(plan: Plan, domain: Domain) -> tuple[str, ...]:
     return endings_for(domain.tiles, domain.meanings, plan.costs is not None)
 
 
-def human_layout(
+def layout_human(
     rows: int,
     cols: int,
     domain: Annotated[str, arg(metavar=args.DOMAIN_NAMES)] = "warehouse-even",
@@ -262,7 +262,7 @@ def human_layout(
     return made
 
 
-def tile_layout(
+def layout_tile(
     layout: args.Source,
     rows: int,
     cols: int,

@@ -226,7 +226,7 @@ def convert_agent(checkpoint: Positional[Path], out: args.Out = None) -> Path:
     return target.path
 
 
-def fit_surrogate(
+def surrogate(
     run: args.Run,
     seeds: args.Seeds = 3,
     out: args.Out = None,

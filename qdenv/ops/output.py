@@ -205,6 +205,11 @@ def save_with_picture(layout: Layout, target: Place | None, text: str = "") -> L
 class Result(dict):
     """What an operation finds, by name, as `--json` writes it."""
 
+    def __repr__(self) -> str:
+        """Return the single values in one line, without lists like those of the runs."""
+        values = ", ".join(f"{name} {text}" for name, text in _single_values(self).items())
+        return f"Result({values})"
+
     def _repr_html_(self) -> str:
         return _table_html([self])
 
@@ -216,6 +221,13 @@ class Table(list):
         """Make a table; the command that made it ends with `exit_code`."""
         super().__init__(rows)
         self.facts, self.exit_code = facts, exit_code
+
+    def __repr__(self) -> str:
+        """Return the rows as an aligned table."""
+        rows = [_single_values(row._asdict()) for row in self]
+        names = dict.fromkeys(name for row in rows for name in row)
+        lines = [names, *([row.get(name, "") for name in names] for row in rows)]
+        return "\n".join(format_table(map(list, lines))) if rows else "Table(no rows)"
 
     def to_pandas(self) -> Any:
         """Make a pandas data frame."""

@@ -13,7 +13,7 @@ from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.io.files import refuse_links, write_csv
 from qdenv.io.layouts import check_size, endings_for
 from qdenv.ops import options as args
-from qdenv.ops.layouts import human_layout
+from qdenv.ops.layouts import layout_human
 from qdenv.ops.output import AUTO, Layout, Place, place, place_folder, save_with_picture, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
@@ -48,6 +48,7 @@ def plot(
     """
     if not runs:
         raise InputError("give at least one folder of a run")
+    runs = list(runs) if isinstance(runs, list | tuple) else [runs]  # in Python one needs no list
     opened = [args.open_run(run) for run in runs]
     if len(opened) == 1:
         own = out in (None, AUTO) and not opened[0].shipped
@@ -108,7 +109,7 @@ class GrowthOptions(Ranged):
     frames: PositiveInt | None = None  # also draw the layout after every so many steps (Figure 6)
 
 
-def generate_layout(
+def generate(
     run: args.Run,
     rows: int | None = None,
     cols: int | None = None,
@@ -236,7 +237,7 @@ def series(
         layouts.append(save_with_picture(made, target))
         if human:
             name = folder and folder / f"human_{rows}x{cols}.json"
-            layouts.append(human_layout(rows, cols, domain.name, name))
+            layouts.append(layout_human(rows, cols, domain.name, name))
     if table := place(folder and folder / "series.csv", "series.csv"):
         write_csv(table.path, list(grown[0]), [list(one.values()) for one in grown])
         say(table)

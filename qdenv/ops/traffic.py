@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # imports the simulator
 _SHOWN = 10  # broken rules that are printed
 
 
-def simulate_layout(
+def simulate(
     layout: args.Source,
     agents: args.Agents = None,
     audit: args.OnCommandLine = False,

@@ -274,8 +274,12 @@ class SavedArchive:
             path = folder / f"{'_'.join(map(str, elite.cell))}.json"
             write_layout(path, elite.layout, self.schema.tiles, domain=domain, **details)
 
-    def to_ribs(self) -> "ribs.archives.GridArchive":
-        """Make the same archive for pyribs; `InputError` if that is not installed."""
+    def to_ribs(self, fields: Sequence[str] = ()) -> "ribs.archives.GridArchive":
+        """Make the same archive for pyribs; `InputError` if that is not installed.
+
+        Its extra fields are the columns with one number for each elite, and those named in
+        `fields`, like "repaired": pyribs makes no table of layouts.
+        """
         try:
             from ribs.archives import GridArchive
         except ImportError as error:
@@ -283,7 +287,7 @@ class SavedArchive:
         extras = {
             name: values
             for name, values in self.columns.items()
-            if name not in (*_COLUMNS, "threshold")
+            if name not in (*_COLUMNS, "threshold") and (values.ndim == 1 or name in fields)
         }
         archive: Any = GridArchive(
             solution_dim=self.columns["solution"].shape[1],

@@ -246,7 +246,7 @@ def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[R
         )
     if archive != config.archive:
         changes += [
-            f"{axis.name} from {low:g} to {high:g}"
+            f"{axis.name} from {low:.0f} to {high:.0f}"  # a count
             for axis, (low, high, _) in zip(new.measures, archive, strict=True)
             if axis.limit
         ]

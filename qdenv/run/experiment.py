@@ -12,7 +12,7 @@ from flax.traverse_util import flatten_dict
 
 from qdenv.grid import parse
 from qdenv.pipeline import Pipeline, evaluate, make_pipeline
-from qdenv.run.config import RunConfig, archive_axes, config_to_json
+from qdenv.run.config import RunConfig, archive_axes, config_to_json, resolve
 from qdenv.run.directory import find_start
 from qdenv.search.base import Algorithm, Problem
 from qdenv.search.registry import make_algorithm
@@ -45,12 +45,21 @@ class Experiment(NamedTuple):
         }
 
 
-def make_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
-    """Build a run's parts, or raise InputError if a setting is impossible.
+def make_experiment(
+    config: RunConfig | str, start: np.ndarray | None = None, **settings: Any
+) -> Experiment:
+    """Build a run's parts, or raise InputError if a name is unknown or a setting impossible.
 
-    `start` are the parameters from which the search begins, float [P]: what `config.start` names
-    unless given.
+    `config` is a configuration, or the name of a preset; `settings` replace its own as those of
+    `train` do, wherever they are nested: ``make_experiment("quick", backend="xla")``. `start` are
+    the parameters from which the search begins, float [P]: what ``start`` names unless given.
     """
+    if isinstance(config, str):
+        from qdenv.configurations import find_preset  # which imports `run.config`
+
+        config = find_preset(config)
+    if settings:
+        config, _ = resolve(config, settings)
     if getattr(jax.config, "jax_enable_x64"):  # noqa: B009 (jax does not declare it)
         raise InputError("searches are in single precision: leave JAX_ENABLE_X64 out")
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)

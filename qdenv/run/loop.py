@@ -185,7 +185,7 @@ class Publisher:
         def summarise(state: Any) -> tuple[jax.Array, jax.Array, int, jax.Array]:
             archive = algorithm.archive(state)
             best = jnp.where(archive.filled.any(), archive.objectives.max(), 0.0)
-            return archive.qd_score(), archive.filled.sum(), archive.filled.size, best
+            return archive.qd_score, archive.filled.sum(), archive.filled.size, best
 
         self._summarise = jax.jit(summarise)
 

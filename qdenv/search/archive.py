@@ -235,6 +235,13 @@ class GridArchive(MapElitesRepertoire):
         extras = batch_of_extra_scores
         return self.insert(batch_of_genotypes, objective, batch_of_descriptors, extras)[0]
 
+    def __repr__(self) -> str:
+        """Show the grid, and the number of elites where it is known (not inside of `jax.jit`)."""
+        grid = " x ".join(str(axis.cells) for axis in self.measures)
+        known = not isinstance(self.fitnesses, jax.core.Tracer)
+        elites = f", {int(self.filled.sum())} elites, QD-score {self.qd_score:.4g}" if known else ""
+        return f"GridArchive({grid} cells{elites})"
+
     @property
     def objectives(self) -> jax.Array:
         """Return the objective of every cell, float [C]; -inf where empty."""
@@ -245,12 +252,13 @@ class GridArchive(MapElitesRepertoire):
         """Mark the cells that hold an elite, bool [C]."""
         return self.objectives > -jnp.inf
 
-    def qd_score(self, offset: float = 0.0) -> jax.Array:
-        """Sum the objectives minus `offset` over the filled cells; 0 when empty.
+    @property
+    def qd_score(self) -> jax.Array:
+        """Return the sum of the objectives over the filled cells; 0 when empty.
 
         Pugh, Soros and Stanley 2016, https://doi.org/10.3389/frobt.2016.00040.
         """
-        return jnp.sum(self.objectives - offset, where=self.filled)
+        return jnp.sum(self.objectives, where=self.filled)
 
     @property
     def coverage(self) -> jax.Array:
