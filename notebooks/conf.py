@@ -60,11 +60,16 @@ def write_commands() -> str:
     """Print the help of every command."""
     from qdenv.cli.main import COMMANDS, run
 
-    text = ["# Commands", "", "What `qdenv COMMAND --help` prints.", ""]
+    text = [
+        "# Commands",
+        "",
+        "What `qdenv COMMAND --help-all` prints; `--help` alone leaves out what few people need.",
+        "",
+    ]
     for name in COMMANDS:
         shown = io.StringIO()
         with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
-            run([*name.split(), "--help"])
+            run([*name.split(), "--help-all"])
         text += [f"## qdenv {name}", "", "```text", shown.getvalue().rstrip(), "```", ""]
     return "\n".join(text)
 

@@ -4,6 +4,9 @@ import importlib
 import inspect
 import json
 import os
+import pkgutil
+import re
+import shlex
 import subprocess
 import sys
 
@@ -13,6 +16,7 @@ from small_warehouse import ROWS as GOOD
 from small_warehouse import TILES
 
 from qdenv.cli import main as cli
+from qdenv.cli.help import example_of
 from qdenv.cli.main import run
 from qdenv.configurations import PRESETS
 from qdenv.grid import parse
@@ -54,7 +58,7 @@ print("loaded:", *({{"jax", "numba", "numpy", "matplotlib", "qdax", "scipy"}} & 
         (["nothing"], "unknown command", set()),
         (["presets"], "maze-quick", {"numpy"}),
         (["simulate", "--help"], "number of agents", {"numpy"}),
-        (["train", "--help"], "--emitters", {"numpy"}),
+        (["train", "--help-all"], "--emitters", {"numpy"}),
         (["train", "quick", "--shelves", "1000"], "1000 shelves", {"numpy"}),
         (["check", "nowhere.json"], "cannot be read", {"numpy"}),
         (["simulate", "nowhere.json"], "cannot be read", {"numpy"}),
@@ -210,6 +214,23 @@ def test_train_generate_resume_end_to_end(tmp_path, capsys):
     capsys.readouterr()
     assert run(["resume", str(path), "--evaluations", "18", "--no-progress"]) == 0
     assert "after 18 evaluations" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_help_is_one_screen_with_an_example_that_parses(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = []
+    for option in ("--help", "--help-all"):
+        with pytest.raises(SystemExit):
+            cli.run([*name.split(), option])
+        shown.append(capsys.readouterr().out)
+    short, long = (set(re.findall(r"^  (--[a-z-]+)", text, re.M)) for text in shown)
+    assert len(shown[0].splitlines()) <= 50 and max(map(len, shown[0].splitlines())) <= 80
+    assert short - {"--help-all"} <= long and ("--help-all" in short) == (short != long)
+    operation = pkgutil.resolve_name(cli.COMMANDS[name])
+    example = example_of(inspect.getdoc(operation))
+    assert f"  $ {example}\n" in shown[0] and example.startswith(f"qdenv {name}")
+    assert cli.parse_command(*cli.split_name(shlex.split(example)[1:]))[0] is operation
 
 
 def test_help_lists_every_command_once_under_its_group(capsys):

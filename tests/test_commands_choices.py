@@ -49,7 +49,7 @@ def test_an_algorithm_comes_with_its_own_defaults():
 @pytest.mark.parametrize("name", ALGORITHMS.names())
 def test_help_lists_the_settings_of_the_algorithm_that_is_named_and_no_others(name, capsys):
     with pytest.raises(SystemExit):
-        run(["train", "quick", "--algorithm", name, "--help"])
+        run(["train", "quick", "--algorithm", name, "--help-all"])
     options = set(re.findall(r"--([a-z][\w-]*)", capsys.readouterr().out))
 
     def settings(algorithm):

@@ -53,7 +53,7 @@ def test_help_lists_the_settings_of_the_planner_that_is_named_and_no_others(
     command, planner, capsys
 ):
     with pytest.raises(SystemExit):
-        run([command, "--planner", planner, "--help"])
+        run([command, "--planner", planner, "--help-all"])
     listed = set(re.findall(r"--planner\.([a-z][\w-]*)", capsys.readouterr().out))
     own = {field.name.replace("_", "-") for field in fields(PLANNERS.config(planner))}
     assert {one.removeprefix("no-") for one in listed} == own

@@ -28,6 +28,9 @@ def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
 
     Args:
         shell: which shell.
+
+    Examples:
+        ``qdenv completion bash``
     """
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):

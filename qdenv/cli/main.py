@@ -19,8 +19,9 @@ import shlex
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 # Before numpy is loaded: small eigenproblems on shared cores lose tenfold to BLAS threads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -88,9 +89,7 @@ def run(words: list[str]) -> int:
     """
     if words[:1] == ["help"]:
         words = [*words[1:], "--help"]
-    # Some commands have two words: layout human.
-    count = 2 if " ".join(words[:2]) in COMMANDS else 1
-    name, rest = " ".join(words[:count]), words[count:]
+    name, rest = split_name(words)
     try:
         try:
             return _run_command(name, rest) if name in COMMANDS else _run_general(name)
@@ -109,6 +108,12 @@ def run(words: list[str]) -> int:
         discard_unfinished()
 
 
+def split_name(words: list[str]) -> tuple[str, list[str]]:
+    """Split a command line after the name of its command, which may be two words: layout human."""
+    count = 2 if " ".join(words[:2]) in COMMANDS else 1
+    return " ".join(words[:count]), words[count:]
+
+
 def _run_general(name: str) -> int:
     """Print the version or the list of commands, or refuse what is no command."""
     if name == "--version":
@@ -117,7 +122,7 @@ def _run_general(name: str) -> int:
         return _refuse(_unknown(name))
     else:
         width = min(shutil.get_terminal_size().columns, 100) - 2
-        print("usage: qdenv COMMAND ..., qdenv COMMAND --help, qdenv --version")
+        print("usage: qdenv COMMAND ..., qdenv COMMAND --help (or --help-all), qdenv --version")
         for group, names in GROUPS.items():
             print(f"\n{group}")
             for name in names:
@@ -170,24 +175,35 @@ def summary_of(command: str) -> str:
     return function.split('"""')[1].partition("\n")[0]
 
 
-def _run_command(name: str, typed: list[str]) -> int:
-    """Parse a command line, run the operation and write its facts; return the exit code."""
+def parse_command(name: str, typed: list[str]) -> tuple[Callable, Any]:
+    """Parse what follows the name of a command; return its operation and a `parser.command`.
+
+    Raises InputError for a mistake, SystemExit after help.
+    """
     # They import numpy and the parser: not for help.
     from qdenv.cli.parser import command, parse
-    from qdenv.cli.rules import Choices, flat, make_rules
+    from qdenv.cli.rules import Choices, make_rules
+    from qdenv.types import InputError
+
+    if odd := [word for word in typed if word.encode(errors="replace") != os.fsencode(word)]:
+        raise InputError(f"{odd[0]}: not UTF-8: give the file another name")
+    operation = pkgutil.resolve_name(COMMANDS[name])
+    program, words = f"qdenv {name}", _name_pictures(typed)
+    # Which options there are depends on what is chosen by name: that is read first.
+    chosen, rest = parse(Choices, words, program, partly=True)
+    return operation, parse(command(operation), words, program, make_rules(chosen, rest))
+
+
+def _run_command(name: str, typed: list[str]) -> int:
+    """Parse a command line, run the operation and write its facts; return the exit code."""
+    from qdenv.cli.rules import flat
     from qdenv.io.files import tidy, write_json
     from qdenv.ops.output import AUTO, UnsolvedError, place
     from qdenv.types import InputError
 
     failure = None
     try:
-        if odd := [word for word in typed if word.encode(errors="replace") != os.fsencode(word)]:
-            raise InputError(f"{odd[0]}: not UTF-8: give the file another name")
-        operation = pkgutil.resolve_name(COMMANDS[name])
-        program, words = f"qdenv {name}", _name_pictures(typed)
-        # Which options there are depends on what is chosen by name: that is read first.
-        chosen, rest = parse(Choices, words, program, partly=True)
-        stated = parse(command(operation), words, program, make_rules(chosen, rest))
+        operation, stated = parse_command(name, typed)
         bound, facts_file = stated.arguments, stated.json
         arguments, known = bound.arguments, bound.signature.parameters
         if not known.keys().isdisjoint(("out", "study")):
@@ -196,7 +212,7 @@ def _run_command(name: str, typed: list[str]) -> int:
             outputs["out"] = outputs.get("out") or AUTO
         # A page shows the command line that makes it again: as typed.
         if "again" in known:
-            arguments["again"] = shlex.join([*program.split(), *typed])
+            arguments["again"] = shlex.join(["qdenv", *name.split(), *typed])
         if isinstance(layouts := arguments.get("layouts"), tuple):  # named twice, it is one
             arguments["layouts"] = tuple(dict.fromkeys(layouts))
         target, to_stdout = None, facts_file == Path("-")

@@ -21,6 +21,7 @@ from tyro import _errors as events
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from qdenv import interrupt
+from qdenv.cli.help import ALL, compacted
 from qdenv.ops.options import Mark, option
 from qdenv.ranges import check_range
 from qdenv.types import InputError
@@ -44,15 +45,21 @@ def parse(
         if message := _message(event, target, rules):
             raise InputError(message)
 
+    about = inspect.getdoc(target) or ""
+    given = ["--help" if word == ALL else word for word in words]
+    helps = not partly and not {"-h", "--help"}.isdisjoint(given)
     # The hook is no public interface of tyro yet. Of an event that we do not know, tyro prints a
     # longer text and leaves with the same exit code.
-    with events.on_parse_error(refuse):
+    with (
+        compacted(about, ALL in words) if helps else contextlib.nullcontext(),
+        events.on_parse_error(refuse),
+    ):
         return tyro.cli(  # type: ignore[call-overload]
             target,
             prog=program,
             # Of a docstring, what comes before its arguments.
-            description=(inspect.getdoc(target) or "").partition("\n\nArgs:")[0],
-            args=list(words),
+            description=about.partition("\n\nArgs:")[0].partition("\n\nExamples:")[0],
+            args=given,
             config=MARKERS,
             registry=rules,
             add_help=not partly,

@@ -72,11 +72,12 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
     They depend on what the command line chooses by name, and on the `rest` of its words.
     """
     # The parser finds the comments behind the fields of a dictionary itself, not in its base.
+    records = (RunOptions, FleetOptions, StudyOptions, GuideOptions, ImproveOptions)
     helps = {
-        field.name: field.helptext
-        for record in (ImproveOptions, GuideOptions, StudyOptions, FleetOptions, RunOptions)
-        for field in _spec_of(record).fields
+        kind: {one.name: one.helptext for one in _spec_of(kind).fields if one.helptext}
+        for kind in records
     }
+    inherited = helps[RunOptions] | helps[FleetOptions]
     rules = number_rules()
 
     @rules.struct_rule
@@ -84,12 +85,17 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
         kind, keywords = info.type, get_args(info.type)[1:]
         if is_typeddict(kind) and kind.__name__ != "Options":
             kinds = get_type_hints(kind, include_extras=True)
-            return _options((name, one, helps[name]) for name, one in kinds.items())
+            own = inherited | helps[kind]
+            return _options((name, one, own[name]) for name, one in kinds.items())
         if kind is PlannerOptions:
             # The settings of several are those of the first, and are refused.
             settings = find_planner(chosen.effort, (chosen.planner or "").partition(",")[0])
             _check_planner_options(rest, settings)
-            planner = ("planner", _name(PLANNERS, settings), "who plans, with the defaults below")
+            planner = (
+                "planner",
+                _name(PLANNERS, settings),
+                "who plans; --help-all lists its settings",
+            )
             spec = _options([planner, *_settings(settings, _PLANNER)])
             # A name and what is stated, as `Fleet` takes them.
             return dataclasses.replace(
@@ -105,8 +111,10 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
         if mark is Mark.PRESET:
             return _preset_options(chosen, rest)
         if mark is Mark.SURROGATE:
-            own = ("channels", "blocks", "epochs", "minibatch", "rate")
-            return _options(one for one in _settings(find_surrogate("small", {})) if one[0] in own)
+            named = ("channels", "blocks", "epochs", "minibatch", "rate")
+            return _options(
+                one for one in _settings(find_surrogate("small", {})) if one[0] in named
+            )
         return _tile_numbers(chosen, rest, value) if mark is Mark.TILES else None
 
     return rules
@@ -222,7 +230,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     listed = [
         ("domain", _name(DOMAINS, config.evaluation.domain), about),
         ("effort", Literal["low", "high"], effort),
-        ("planner", _name(PLANNERS, planner), "with its defaults, which are listed below"),
+        ("planner", _name(PLANNERS, planner), "with its defaults, which --help-all lists"),
         ("algorithm", _name(ALGORITHMS, config.algorithm), "with its defaults"),
         (
             "generator",

@@ -48,6 +48,9 @@ def convert(
 
     Raises:
         InputError: it is no layout, the format cannot hold it, or the place cannot be written to.
+
+    Examples:
+        ``qdenv convert plan.txt hall.lif``
     """
     name = args.name_of(layout)
     if isinstance(layout, str | Path):

@@ -64,6 +64,9 @@ def guide(
 
     Raises:
         InputError: the fleet cannot work on this layout, or the folder holds a run already.
+
+    Examples:
+        ``qdenv guide plan.txt --robots 60 --minutes 5``
     """
     given: dict[str, Any] = dict(search)
     minutes, base = given.pop("minutes", None), given.pop("guidance", None) or "crisscross"

@@ -80,6 +80,9 @@ def improve(
 
     Raises:
         InputError: the fleet cannot work on this layout, or the folder holds something else.
+
+    Examples:
+        ``qdenv improve plan.txt --robots 60 --minutes 10 --out better``
     """
     given: dict[str, Any] = dict(search)
     minutes, evaluations = given.pop("minutes", None), given.pop("evaluations", None)

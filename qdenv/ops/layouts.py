@@ -56,6 +56,9 @@ def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = 
 
     Raises:
         InputError: it is no layout, or the place cannot be written to.
+
+    Examples:
+        ``qdenv render plan.txt --out plan.svg``
     """
     plan = args.read_plan(layout, domain)
     drawn = Layout(plan.layout, plan.domain, costs=plan.costs)
@@ -101,6 +104,9 @@ def check(
 
     Raises:
         InputError: it is no layout, or `keep` names nothing in it.
+
+    Examples:
+        ``qdenv check plan.txt --keep w --plot``
     """
     plan, name = args.read_plan(layout, domain), args.name_of(layout)
     fitted = plan.fitted(numbers, keep)
@@ -163,6 +169,9 @@ def repair(
     Raises:
         InputError: the domain has no rules, they contradict each other, or no feasible layout was
             found.
+
+    Examples:
+        ``qdenv repair plan.txt --keep w --plot``
     """
     plan, name = args.read_plan(layout, domain), args.name_of(layout)
     fitted = plan.fitted(numbers, keep)
@@ -242,6 +251,9 @@ def layout_human(
 
     Raises:
         InputError: the size is impossible, or the domain has no such design.
+
+    Examples:
+        ``qdenv layout human --rows 33 --cols 36 --out hand.txt``
     """
     check_size(rows, cols)
     from qdenv.study import elites as sizes  # imports jax
@@ -288,6 +300,9 @@ def layout_tile(
 
     Raises:
         InputError: the size is smaller than the layout, or no such layout exists.
+
+    Examples:
+        ``qdenv layout tile plan.txt --rows 57 --cols 58``
     """
     check_size(rows, cols)
     from qdenv.study import elites as sizes  # imports jax
@@ -311,6 +326,9 @@ def layout_symbols(domain: args.DomainName = None) -> None:
 
     Args:
         domain: only this one.
+
+    Examples:
+        ``qdenv layout symbols --domain hall``
     """
     domains_of: dict[tuple[tuple[str, ...], ...], list[str]] = {}
     for name in (domain,) if domain else DOMAINS.names():

@@ -50,6 +50,9 @@ def train_agent(
 
     Raises:
         InputError: there is a run in the folder already, or none to resume.
+
+    Examples:
+        ``qdenv train-agent --out agents/first``
     """
     checkpoint = path / "checkpoint.npz"
     if path.exists() and not path.is_dir():
@@ -115,6 +118,9 @@ def evaluate_agent(
 
     Raises:
         InputError: it is no maze, or a number is impossible.
+
+    Examples:
+        ``qdenv evaluate-agent maze.txt``
     """
     if random_mazes and not 2 <= random_mazes <= _MOST_MAZES:  # one has no standard error
         limits = f"give 2 to {_MOST_MAZES:,}, or leave it out"
@@ -214,6 +220,9 @@ def convert_agent(checkpoint: Positional[Path], out: args.Out = None) -> Path:
 
     Raises:
         InputError: it is no such checkpoint.
+
+    Examples:
+        ``qdenv convert-agent model_20000.tar``
     """
     target = place(out or AUTO, "agent.npz", (".npz",), [checkpoint])
     assert target is not None
@@ -250,6 +259,9 @@ def surrogate(
 
     Raises:
         InputError: there are too few elites, or a setting is impossible.
+
+    Examples:
+        ``qdenv surrogate runs/first --seeds 3``
     """
     config, chosen = find_surrogate(size, settings), parse_seeds(seeds)
     name = file_name(Path(str(run)))

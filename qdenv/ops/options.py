@@ -126,7 +126,7 @@ class RunOptions(TypedDict, total=False):
     timesteps: PositiveInt | None
     # of the negotiated planner: low for a quick look, high, for numbers to report, unless given
     effort: Annotated[str | None, arg(metavar="{low,high}")]
-    # who plans, with the defaults below: a registered name or settings, like `PbsConfig()`;
+    # who plans, --help-all lists its settings: a registered name or settings, like `PbsConfig()`;
     # `compare` takes a list of them
     planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
     # what robots do at their goals, in place of what the plan says: settings of its domain by name,

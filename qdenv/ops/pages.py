@@ -82,6 +82,9 @@ def replay(
     Raises:
         InputError: a name is unknown, the fleet cannot work on this layout, or a package is
             missing.
+
+    Examples:
+        ``qdenv replay plan.txt --robots 60 --out replay.html``
     """
     options = args.Fleet(fleet)
     plan = options.read_plan(layout)
@@ -192,6 +195,9 @@ def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out =
 
     Raises:
         InputError: there is no elite, there are more than two measures, or a package is missing.
+
+    Examples:
+        ``qdenv explore zoo:warehouse-even``
     """
     opened, target = args.open_run(run), place(out, "explorer.html", (".html",))
     from qdenv.view.explorer import make_explorer  # imports jax
@@ -229,6 +235,9 @@ def report(
 
     Raises:
         InputError: something cannot be read, a fleet cannot work there, or a package is missing.
+
+    Examples:
+        ``qdenv report before.txt after.txt --robots 60``
     """
     require_package("pages", "jinja2")
     given = list(sources) if isinstance(sources, list | tuple) else [sources]

@@ -45,6 +45,9 @@ def plot(
 
     Raises:
         InputError: there is no run, or nothing to draw yet.
+
+    Examples:
+        ``qdenv plot runs/first --format pdf``
     """
     if not runs:
         raise InputError("give at least one folder of a run")
@@ -139,6 +142,9 @@ def generate(
 
     Raises:
         InputError: there is no such elite, or no layout of this size obeys the rules.
+
+    Examples:
+        ``qdenv generate zoo:warehouse-even/best --rows 57 --cols 58 --out plan.txt``
     """
     stated: dict[str, Any] = {
         name: numbers.pop(name) for name in ("steps", "seed") if name in numbers
@@ -217,6 +223,9 @@ def series(
 
     Raises:
         InputError: there is no such elite, or no layout of a size obeys the rules.
+
+    Examples:
+        ``qdenv series runs/first --sizes 33x36 57x58``
     """
     opened = args.open_run(run)
     domain = make_domain(opened.config.evaluation.domain)
@@ -260,6 +269,9 @@ def export(
 
     Raises:
         InputError: there is no run, a name is impossible, or a package is missing.
+
+    Examples:
+        ``qdenv export runs/first --layouts plans``
     """
     opened, written = args.open_run(run), []
     archive = opened.archive

@@ -30,15 +30,17 @@ from qdenv.study.plans import resolve_plan, with_tasks
 from qdenv.types import InputError
 
 # Name of a preset, or a whole configuration.
-Preset: TypeAlias = Annotated[
-    Any, Positional, args.option("{" + ",".join(PRESETS) + "}", str, names=tuple(PRESETS))
-]
+Preset: TypeAlias = Annotated[Any, Positional, args.option("PRESET", str, names=tuple(PRESETS))]
 ZooName: TypeAlias = Annotated[str, Positional, arg(metavar="[DOMAIN[/NAME]]")]
 _ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"}
 
 
 def presets() -> Result:
-    """List the presets: what they search, and how long that takes on this machine."""
+    """List the presets: what they search, and how long that takes on this machine.
+
+    Examples:
+        ``qdenv presets``
+    """
     table, sizes = [], []
     for name, config in PRESETS.items():
         settings = config.evaluation.domain
@@ -90,10 +92,10 @@ def train(
         progress: show a progress bar.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
         plan: floor plan whose size, numbers of tiles, walls and stations all layouts have.
-        keep: what must stay of the plan: tiles (w), a rectangle of rows and columns, the last not
-            included (0:7,33:40), or a drawing, ? where anything may be; + joins several.
+        keep: what must stay of the plan, as `repair` takes it: w, 0:7,33:40, or a drawing in which
+            ? stands where anything may be.
         pictures: draw the run when it ends, as the command does.
-        **settings: in place of the preset's, by the names of `qdenv train --help` with
+        **settings: in place of the preset's, by the names of `qdenv train --help-all` with
             underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
             planners, generators and algorithms may be named, or given as settings:
             planner="pbs", planner=PbsConfig(rule="plain"). What is not stated follows the size:
@@ -101,6 +103,9 @@ def train(
 
     Raises:
         InputError: a name is unknown, a setting is impossible, or the folder holds a run already.
+
+    Examples:
+        ``qdenv train laptop --algorithm map-elites --seed 3 --out runs/first``
     """
     base = find_preset(preset) if isinstance(preset, str) else preset
     if execution.workers is not None:
@@ -167,6 +172,9 @@ def resume(
     Raises:
         InputError: there is no run, it was written by a newer version or with other settings, or
             another process is at work on it.
+
+    Examples:
+        ``qdenv resume runs/first``
     """
     path = run.path if isinstance(run, RunDirectory) else Path(run)
     for folder in (path, path.parent):  # the searches of an improvement go on together
@@ -206,6 +214,9 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Result:
 
     Raises:
         InputError: there is no such domain or generator.
+
+    Examples:
+        ``qdenv zoo warehouse-even/best``
     """
     text = name.removeprefix(PREFIX)
     found = [named(one).collection for one in ([text] if text else names())]

@@ -52,6 +52,9 @@ def sweep(
 
     Raises:
         InputError: a number or a name is impossible, or a file cannot be read or written.
+
+    Examples:
+        ``qdenv sweep plan.txt --robots 50:400:50``
     """
     name = f"{Path(args.name_of(layout)).stem}_sweep"
     fleets = _Fleets([layout], agents, SWEEP, name, study)
@@ -89,6 +92,9 @@ def compare(
 
     Raises:
         InputError: no layout is given, they are of several domains, or a fleet cannot work there.
+
+    Examples:
+        ``qdenv compare before.txt after.txt --robots 40,60 --plot``
     """
     each_run = place(runs, "compare_runs.csv", (".csv",), layouts)
     fleets = _Fleets(layouts, agents, (AGENTS, AGENTS, 1), "compare", study, several=True)
@@ -137,6 +143,9 @@ def scalability(
 
     Raises:
         InputError: no layout is given, they are of several domains, or a fleet cannot work there.
+
+    Examples:
+        ``qdenv scalability plan.txt --effort low``
     """
     fleets = _Fleets(layouts, agents, CLIMB, "scalability", study)
     # All layouts are checked before hours go into the first one.

@@ -56,6 +56,9 @@ def simulate(
 
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.
+
+    Examples:
+        ``qdenv simulate plan.txt --robots 60 --plot``
     """
     if width and not plot:
         raise InputError(f"--width {width:g} is the picture's: add --plot")
@@ -185,6 +188,9 @@ def audit_run(
 
     Raises:
         InputError: a file cannot be read, or no fleet drives in this domain.
+
+    Examples:
+        ``qdenv audit-run run.csv --layout plan.txt``
     """
     if domain is None and Path(args.name_of(layout)).suffix.lower() == ".map":
         domain = "map"

@@ -40,10 +40,10 @@ class RunConfig(Ranged):
     evaluations: PositiveInt = 10_000
     # (low, high, cells) of each measure; empty for the domain's own
     archive: tuple[tuple[float, float, int], ...] = ()
-    # generator from which the search begins: the best of a run or one of the zoo (runs/first,
-    # zoo:warehouse-even/calm), or the elite of a cell (runs/first@12,40); zeros where empty
+    # where the search begins: the best generator of a run, one of the zoo, or the elite of a cell,
+    # like runs/first, zoo:warehouse-even/calm and runs/first@12,40; zeros where empty
     start: str = ""
-    # the one random seed; new runs take none below 0
+    # random seed of everything, 0 or more
     seed: Annotated[int, Interval(ge=-MOST, le=MOST)] = 0
     checkpoint_every: PositiveInt = 5  # iterations between checkpoints; decides no result
 

@@ -110,7 +110,7 @@ def _answer(argv: list[str], folder: Path) -> dict[str, Any]:
     before = _state(folder)
     answer = call(argv, folder)
     out = answer["out"]
-    if "--help" in argv or "help" in argv or not argv:
+    if {"--help", "--help-all", "help"} & set(argv) or not argv:
         answer["out"] = about_help(out)
     elif argv[0] == "completion" and answer["code"] == 0:
         answer["out"] = about_completion(out)

@@ -32,7 +32,7 @@ PLANNERS = Registry(
 class FleetConfig(Ranged):
     """The numbers of a simulation, all compile-time."""
 
-    # how many robots drive, or the most of them when `simulate` is told fewer
+    # number of robots, or the largest where `simulate` takes fewer
     agents: PositiveInt = 200
     timesteps: PositiveInt = 1000  # how long a simulation lasts, T
     # timesteps planned ahead without conflict (w), at most what the planner can do
