@@ -1,7 +1,11 @@
-"""The book: it builds without a warning, and every public name and command is in its reference."""
+"""The book: it builds without a warning, has every public name and command, and its code runs."""
 
+import ast
 import inspect
 import pkgutil
+import re
+import runpy
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -9,9 +13,62 @@ from pathlib import Path
 import pytest
 
 import qdenv
+from qdenv.cli import main as cli
 from qdenv.cli.main import COMMANDS
+from qdenv.domains.base import DOMAINS
+from qdenv.search.registry import ALGORITHMS
+from qdenv.simulate.mapf.settings import PLANNERS
 
 ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").rglob("*.md"))]
+# A block of code, and whether it takes long: then it is parsed, and not run.
+BLOCK = re.compile(r"(<!-- long -->.*\n)?```(bash|python)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+BLOCKS = [
+    pytest.param(bool(long), kind, code, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, (long, kind, code) in enumerate(BLOCK.findall(page.read_text()))
+]
+
+
+def command_lines(code: str) -> list[list[str]]:
+    """List the calls of qdenv in a block of bash, each as its words behind that name."""
+    lines = code.replace("<(", "\n").replace(")\n", "\n").splitlines()
+    calls = [shlex.split(one, comments=True) for line in lines for one in line.split("&&")]
+    found = [words for words in calls if words and words[0].rpartition("/")[2] == "qdenv"]
+    return [words[1 : words.index(">") if ">" in words else None] for words in found]
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with the plan and the drawing of the page on layout files; the orchard is known."""
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "notebooks" / "how_to" / "layout_files.md").read_text()
+    rows = [row.split() for row in page.partition("```\n")[2].partition("```")[0].splitlines()]
+    for column, name in enumerate(("plan.txt", "keep.txt")):
+        Path(name).write_text("\n".join(row[column] for row in rows))
+    orchard = runpy.run_path(str(ROOT / "tests" / "plugin" / "orchard.py"))
+    for registry, name in ((DOMAINS, "orchard"), (PLANNERS, "turns"), (ALGORITHMS, "mutate-best")):
+        entry = orchard[name.upper().replace("-", "_")]
+        monkeypatch.setitem(registry._entries, name, entry)
+
+
+@pytest.mark.parametrize(("long", "kind", "code"), BLOCKS)
+def test_every_block_of_code_runs_or_is_parsed_where_it_takes_long(long, kind, code, place):
+    if kind == "bash":
+        for words in command_lines(code):
+            cli.parse_command(*cli.split_name(words))  # refuses what no command understands
+            assert long or cli.run(words) == 0
+        return
+    tree = ast.parse(code)
+    for node in ast.walk(tree):  # public names, and arguments that they have
+        call = node.func if isinstance(node, ast.Call) else node
+        if isinstance(call, ast.Attribute) and ast.unparse(call.value) == "qdenv":
+            public = getattr(qdenv, call.attr)
+            if isinstance(node, ast.Call):
+                named = {one.arg: None for one in node.keywords if one.arg}
+                inspect.signature(public).bind(*node.args, **named)
+    if not long and "class " not in code:  # the package of `test_plugin`
+        exec(compile(tree, "page", "exec"), {})
 
 
 def test_the_readme_lists_every_command_in_its_own_words():
