@@ -57,6 +57,7 @@ def main(
     table.write_table(out.with_suffix(".csv"), solutions=True)
     figure = draw_archive(new_figure(6, 4.8), archive.objectives, MEASURES, "bent chain")
     save_figure(figure, out.with_suffix(".png"))
+    print(f"{out.with_suffix('.csv')}, {out.with_suffix('.png')}")
 
 
 if __name__ == "__main__":

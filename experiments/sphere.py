@@ -89,14 +89,15 @@ def main(
         archive = jax.block_until_ready(compiled(jax.random.key(seed)))
         spent = 1000 * (time.process_time() - start) / iterations
         rows.append((float(archive.qd_score) / len(archive.objectives), 100 * archive.coverage))
-        score, coverage = rows[-1]
-        print(f"seed {seed}: {score:6.2f} {coverage:6.2f} %   {spent:.2f} CPU ms per iteration")
-    mean = np.mean(rows, axis=0)
-    error = standard_error(rows)
-    print(
-        f"{strategy}, {iterations} iterations, {seeds} seeds: normalised QD-score "
-        f"{mean[0]:.2f} ± {error[0]:.2f}, coverage {mean[1]:.2f} ± {error[1]:.2f} %"
+        figures = f"{rows[-1][0]:6.2f} {rows[-1][1]:6.2f} %"
+        print(f"seed {seed}: {figures}   {spent:.2f} CPU ms per iteration")
+    mean, error = np.mean(rows, axis=0), standard_error(rows)
+    score, coverage = (
+        f"{one:.2f}" + (f" ± {half:.2f}" if np.isfinite(half) else "")  # of one seed it is unknown
+        for one, half in zip(mean, error, strict=True)
     )
+    about = f"{strategy}, {iterations} iterations, {seeds} seed{'s' * (seeds != 1)}"
+    print(f"{about}: normalised QD-score {score}, coverage {coverage} %")
     if picture:
         figure = draw_archive(new_figure(6, 4.8), archive.objectives, archive.measures, "sphere")
         save_figure(figure, picture)

@@ -58,13 +58,14 @@ def test_the_tab_key_knows_commands_options_presets_and_names(script, capsys):
     (script / "script.bash").write_text(capsys.readouterr().out)
     done = subprocess.run(
         ["bash", "-c", ASK],
-        input="\n".join(WANTED) + "\n",
+        input="\n".join([*WANTED, "qdenv train quick --"]) + "\n",
         cwd=script,
         capture_output=True,
         text=True,
         check=True,
     )
     answers = [sorted(answer.split()) for answer in done.stdout.splitlines()]
+    assert all(word.startswith("--") for word in answers.pop())  # no part of a description
     assert answers == [sorted(wanted) for wanted in WANTED.values()], done.stderr
 
 

@@ -248,6 +248,8 @@ def test_growth_that_is_not_in_the_page_is_named_with_the_command_that_adds_it(s
         assert f"1 of {elites} growths, not this one" in note
         assert note.endswith(f"qdenv explore {small_run} --growth {elites}")
         assert page.is_hidden("#player")
+        page.set_viewport_size({"width": 420, "height": 860})  # a phone
+        page.wait_for_function("document.documentElement.scrollWidth === 420")
 
 
 def test_growth_that_ends_otherwise_than_in_the_run_says_so(small_run, tmp_path):

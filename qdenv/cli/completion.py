@@ -53,6 +53,8 @@ def _with_names(spec: dict[str, Any]) -> dict[str, Any]:
     commands: dict[str, Any] = {}
     for name, one in spec["subcommands"].items():
         for option in one["options"]:
+            # A line break would end the description, and offer what follows as a word.
+            option["description"] = " ".join(option["description"].split())
             # Complete an option's names where its help begins with them, like {low,high}.
             begin, brace, _ = option["description"].partition("}")
             if brace and begin[:1] == "{" and "," in begin and option["type"] != "choice":
