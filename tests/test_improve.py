@@ -1,5 +1,7 @@
 """`qdenv improve`: what the folder holds, that it goes on, and never calls a worse plan better."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -83,6 +85,26 @@ def test_the_same_command_again_and_a_pause_end_where_one_search_does(done, plan
         qdenv.improve(plan, path=folder, evaluations=129, **QUICK)
     with pytest.raises(InputError, match="something else"):
         qdenv.improve(plan, path=plan.parent, evaluations=128, **QUICK)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": None}, "must be a word"),
+        ({"ending": "/../../x.json"}, "ending: must be one of"),
+        ({}, r"improve\.csv: is a link"),
+    ],
+)
+def test_a_foreign_folder_writes_nowhere_else(changes, message, done, tmp_path):
+    _, folder = done
+    names = ("improve.json", "plan.json")
+    settings, plan = (json.loads((folder / name).read_text()) for name in names)
+    (tmp_path / "improve.json").write_text(json.dumps(settings | changes))
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    (tmp_path / "improve.csv").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=message):
+        qdenv.resume(tmp_path)
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_better_means_better_at_both_numbers_of_robots():

@@ -14,14 +14,17 @@ import pytest
 import toy
 from fleet_runs import StandConfig
 
+from qdenv.agent.settings import TrainConfig
 from qdenv.domains.base import DOMAINS
 from qdenv.domains.warehouse import WarehouseConfig
+from qdenv.ops.networks import train_agent
 from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.registry import Entry
 from qdenv.run import loop
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Threads
 from qdenv.run.experiment import make_experiment, make_iteration, observed
+from qdenv.shipped import HOME
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus
 
@@ -217,6 +220,18 @@ def test_a_run_is_never_overwritten_and_a_newer_one_not_opened(finished, tmp_pat
         loop.train(toy.CONFIG, finished.path, progress=False)
     with pytest.raises(InputError, match="no run here"):
         RunDirectory.open(tmp_path)
+    for name in ("metrics.csv", "agent.npz", "manifest.json"):  # of somebody, not of a run
+        (tmp_path / name).write_text("{}")
+        with pytest.raises(InputError, match=f"{name}: a run would replace it"):
+            loop.train(toy.CONFIG, tmp_path, progress=False)
+        assert [path.name for path in tmp_path.iterdir()] == [name]
+        (tmp_path / name).unlink()
+    with pytest.raises(InputError, match="holds a run already"):
+        train_agent(TrainConfig(), finished.path)
+    with pytest.raises(InputError, match="ships with qdenv"):
+        train_agent(TrainConfig(), RunDirectory.open("zoo:maze-walls").path)
+    with pytest.raises(InputError, match="this folder ships with qdenv"):
+        loop.train(toy.CONFIG, HOME / "new", progress=False)
     (tmp_path / "config.json").write_text("{}")
     (tmp_path / "manifest.json").write_text('{"schema": 99}')
     with pytest.raises(InputError, match="newer"):

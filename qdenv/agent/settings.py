@@ -1,10 +1,14 @@
 """The settings of the agent's training: what a user may choose."""
 
+import contextlib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Literal
 
 from annotated_types import Interval
 
+from qdenv.io.files import refuse_second_run
+from qdenv.io.records import read_json
 from qdenv.ranges import (
     MOST,
     FiniteFloat,
@@ -115,3 +119,12 @@ class TrainConfig(Ranged):
     def updates(self) -> int:
         """Number of updates of the whole run."""
         return -(-self.steps // (self.ppo.lanes * self.ppo.timesteps))
+
+
+def refuse_second_training(folder: Path) -> None:
+    """Raise InputError if the training of an agent would replace anything in a folder."""
+    begun: tuple[str, ...] = ()
+    with contextlib.suppress(InputError):
+        read_json(folder / "config.json", TrainConfig)  # of one that was killed before it saved
+        begun = ("config.json",)
+    refuse_second_run(folder, begun)

@@ -15,9 +15,9 @@ import optax
 from qdenv.agent import levels
 from qdenv.agent.evaluate import default_horizon, draw_mazes, run_batch
 from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn, reset_env, unroll
-from qdenv.agent.settings import TrainConfig
+from qdenv.agent.settings import TrainConfig, refuse_second_training
 from qdenv.io.arrays import read_state, write_arrays, write_state
-from qdenv.io.files import locked, refuse_second_run, write_json
+from qdenv.io.files import locked, write_json
 from qdenv.simulate.maze import policy
 from qdenv.simulate.maze.policy import Weights, load_weights
 from qdenv.types import InputError
@@ -238,6 +238,8 @@ def train_agent(
     them the log's new line. Raises InputError without a checkpoint to resume, for one of other
     sizes, or if another process is at work in the folder.
     """
+    if not resume:
+        refuse_second_training(out)  # before a lock is left there
     with locked(out):
         return _train(config, out, resume, report_every, cpu_seconds, progress)
 
@@ -256,7 +258,7 @@ def _train(
     if resume:
         state, used = load_state(checkpoint, state)
     else:
-        refuse_second_run(checkpoint)
+        refuse_second_training(out)
     write_json(out / "config.json", asdict(config))
     examine = _exam(config)
     # The log shows the seconds of the whole run, those before an interruption too.

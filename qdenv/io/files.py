@@ -23,6 +23,13 @@ from qdenv.types import DamagedError, InputError
 # Prefix of the names under which `write_atomically` writes. It is ours alone: `sweep` deletes by
 # it, and a user's hidden files must never match.
 TEMPORARY_PREFIX = ".qdenv-tmp-"
+# What runs of all kinds are made of; each has one of the first two.
+RUN_FILES = (
+    *("config.json", "checkpoint.npz", "manifest.json", "metrics.csv", "notes.csv", "start.npz"),
+    *("checkpoints", "archive.npz", "archive.png", "progress.png", "notes.png", "best_layout.png"),
+    *("best_layout.json", "guidance.json", "guidance.png", "before_after.csv", "improve.json"),
+    *("curve.jsonl", "agent.npz", "agents"),
+)
 MEGABYTE = 2**20
 MAX_TEXT = 64 * MEGABYTE  # bytes of a text file
 _UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -207,11 +214,17 @@ def tidy(value: Any) -> Any:
     return value if isinstance(value, str | None) else str(value)
 
 
-def refuse_second_run(file: Path) -> None:
-    """Raise InputError if a folder holds a run already; `file` is one that every run has."""
-    if file.exists():
-        folder = file.parent
-        raise InputError(f"{folder}: holds a run already; `qdenv resume {folder}` continues it")
+def refuse_second_run(folder: Path, begun: Sequence[str] = ()) -> None:
+    """Raise InputError if a folder holds a run already, or a file that a new run would replace.
+
+    `begun` are the names of files that a process which was killed left before its run counted.
+    """
+    for name in RUN_FILES:
+        if name in begun or not (folder / name).exists():
+            continue
+        if name in RUN_FILES[:2]:
+            raise InputError(f"{folder}: holds a run already; `qdenv resume {folder}` continues it")
+        raise InputError(f"{folder / name}: a run would replace it: name a new folder")
 
 
 def damaged(source: Path | str, reason: object) -> DamagedError:

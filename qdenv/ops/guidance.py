@@ -12,7 +12,7 @@ from tyro.conf import arg
 
 from qdenv.generate import Base
 from qdenv.guidance import unscaled_costs
-from qdenv.io.files import refuse_second_run
+from qdenv.io.files import reserve
 from qdenv.ops import options as args
 from qdenv.ops.output import Table, format_table, say
 from qdenv.progress import Bar
@@ -81,9 +81,9 @@ def guide(
     name, agents = args.name_of(layout), plan.facts.robots if agents is None else agents
     agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    path = Path(path) if path else Path("runs") / f"guide-{plan.name}-{stamp}"
-    RunDirectory(path).demand_own()
-    refuse_second_run(path / "config.json")
+    fresh = Path("runs") / f"guide-{plan.name}-{stamp}"
+    if path is not None:
+        RunDirectory(Path(path)).demand_new()
     fleet = options.config(agents, timesteps)
     # These import the simulator and both compilers: refusals are faster without them.
     from qdenv.run import loop
@@ -93,6 +93,7 @@ def guide(
         config = guides.guide_config(plan, fleet, method, base, **numbers)
     planner = describe_planner(fleet.planner)
     say(*filter(None, [note]), f"{agents} agents, {timesteps} timesteps; planner: {planner}")
+    path = reserve(fresh, folder=True) if path is None else Path(path)
     if model is not None:
         costs, judged = guides.find_guidance(args.open_run(model), plan, fleet)
         path.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, Domain, make_domain
 from qdenv.interrupt import advise
-from qdenv.io.files import write_csv, write_json
+from qdenv.io.files import damaged, locked, write_csv, write_json
 from qdenv.io.formats import holds
 from qdenv.io.layouts import ENDINGS, write_layout
 from qdenv.io.records import read_json, structured, unstructured
@@ -135,31 +135,34 @@ def improve_folder(
     progress: bool = True,
     execution: Execution = Execution(),  # noqa: B008 (frozen)
 ) -> Table:
-    """Go on with what `improve` began, to its end."""
+    """Go on with what `improve` began, to its end; InputError if the folder is not as it was."""
     from qdenv.study import improve as studies
 
     content = read_json(folder / SETTINGS, dict[str, Any])
-    name = content.pop("name")
+    name = structured(content.pop("name", None), str, folder / SETTINGS)
     config = structured(content, studies.ImproveConfig, folder / SETTINGS, choices=_CHOICES)
-    domain, found, lanes = make_domain(config.domain), [], None
-    plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
-    advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
-    for section, (title, _) in studies.SECTIONS.items():
-        if section == "lanes" and not PLANNERS.make(config.fleet.planner).reads_costs:
-            say(f"{title}: the planner knows no costs of moves, so none are searched")
-            continue
-        if not (folder / section / "config.json").exists():
-            say(f"{title}:")
-        _search(folder, section, plan, domain, config, progress, execution)
-        if section == "lanes":
-            lanes = studies.searched_lanes(plan, folder)
-        found += studies.candidates_of(plan, folder, section, lanes)
-    advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
-    with Bar("judging") as bar:
-        judged = studies.judge(plan, found, config, bar)
-    for one in judged:
-        studies.check_candidate(one.candidate, plan, domain)
-    return _finish(folder, plan, domain, config, judged)
+    if config.ending not in ENDINGS:  # it is part of names that are written
+        raise damaged(folder / SETTINGS, f"ending: must be one of {', '.join(ENDINGS)}")
+    with locked(folder):  # nothing is written through a link either
+        domain, found, lanes = make_domain(config.domain), [], None
+        plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
+        advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
+        for section, (title, _) in studies.SECTIONS.items():
+            if section == "lanes" and not PLANNERS.make(config.fleet.planner).reads_costs:
+                say(f"{title}: the planner knows no costs of moves, so none are searched")
+                continue
+            if not (folder / section / "config.json").exists():
+                say(f"{title}:")
+            _search(folder, section, plan, domain, config, progress, execution)
+            if section == "lanes":
+                lanes = studies.searched_lanes(plan, folder)
+            found += studies.candidates_of(plan, folder, section, lanes)
+        advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
+        with Bar("judging") as bar:
+            judged = studies.judge(plan, found, config, bar)
+        for one in judged:
+            studies.check_candidate(one.candidate, plan, domain)
+        return _finish(folder, plan, domain, config, judged)
 
 
 def _search(

@@ -13,13 +13,14 @@ from annotated_types import Interval
 from tyro.conf import Positional, arg
 
 from qdenv import interrupt
-from qdenv.agent.settings import TrainConfig
-from qdenv.io.files import refuse_second_run, write_csv
+from qdenv.agent.settings import TrainConfig, refuse_second_training
+from qdenv.io.files import write_csv
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
 from qdenv.ops.output import AUTO, Layout, Place, Result, format_table, place, place_table, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
+from qdenv.run.directory import RunDirectory
 from qdenv.shipped import file_name
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.study.plans import Plan
@@ -58,7 +59,8 @@ def train_agent(
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: that is a file: name a folder")
     if not resume:
-        refuse_second_run(checkpoint)
+        RunDirectory(path).demand_own()
+        refuse_second_training(path)
     elif not checkpoint.exists():
         raise InputError(f"{path}: no run to resume (checkpoint.npz is missing)")
     elif config.steps < read_json(path / "config.json", TrainConfig).steps:

@@ -17,6 +17,7 @@ import contextlib
 import html
 import logging
 import math
+import os
 import platform
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
@@ -94,7 +95,7 @@ class RunDirectory:
         which the search begins, float [P], or None for zeros.
         """
         run = cls(Path(path))
-        refuse_second_run(run.path / "config.json")
+        run.demand_new()
         git = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
         try:
             revision = subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL).strip()
@@ -154,6 +155,18 @@ class RunDirectory:
         if shipped := self.shipped or find(self.path):
             train = f"`qdenv train {shipped.collection.origin.run}` makes a run of your own"
             raise InputError(f"{shipped}: ships with qdenv and stays as it is: {train}")
+        folder = Path(os.path.realpath(self.path))
+        if Path(os.path.realpath(HOME)) in (folder, *folder.parents):
+            raise InputError(f"{self.path}: this folder ships with qdenv: name one of your own")
+
+    def demand_new(self) -> None:
+        """Raise InputError if a new run would replace anything here, or the zoo is here."""
+        self.demand_own()
+        begun: tuple[str, ...] = ()
+        with contextlib.suppress(InputError):
+            if "schema" in read_json(self.path / "manifest.json", dict[str, Any]):  # ours
+                begun = ("manifest.json", METRICS, "start.npz")
+        refuse_second_run(self.path, begun)
 
     def write_config(self, config: RunConfig) -> None:
         """Write config.json."""

@@ -59,6 +59,7 @@ def train(
         fewer = "choose fewer emitters, a smaller batch or a smaller generator"
         raise InputError(f"this search takes {needed / 2**30:,.0f} GiB of memory: {fewer}")
     run = RunDirectory(Path(path))
+    run.demand_new()  # before a lock is left there
     with run.locked():
         run = RunDirectory.create(path, config, experiment.measures, start)
         return _run(experiment, config, run, progress, execution, minutes)
