@@ -211,7 +211,8 @@ def test_what_is_fixed_breaks_no_rule_on_aisles_and_racks():
     [
         ((5, 5), 1, (2, 3), "5 '@' at most are allowed but racks of 2 x 3 take 6"),
         ((40, None), 1, (2, 9), "40 '@' are required but racks of 2 x 9 have room for 0 at most"),
-        ((40, None), 2, None, "40 '@' are required but aisles 2 cells wide can reach at most 39"),
+        ((36, None), 2, None, "36 '@' are required but aisles 2 cells wide can reach at most 34"),
+        ((9, 9), 1, (2, 2), "9 '@' are required but racks 2 cells deep hold an even number"),
         ((9, None), 1, (3, 3), "in racks of 3 x 3 the middle has no 'e' beside it"),
     ],
 )

@@ -12,13 +12,14 @@ from qdenv.repair.anneal import packing
 from qdenv.repair.anneal.packing import draw_templates, pack, pack_moves, start_packing
 from qdenv.repair.audit import audit
 from qdenv.repair.milp import feasibility
-from qdenv.repair.milp.feasibility import find_possible
+from qdenv.repair.milp.feasibility import explain, find_possible
 from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import Facts
+from qdenv.repair.rules import Facts, impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
 
 pytestmark = pytest.mark.slow
+SQUARE = np.ones((2, 2), bool)
 
 
 def warehouse(rows: int, cols: int, shelves: int) -> Rules:
@@ -99,6 +100,38 @@ def test_wide_aisles_that_leave_no_room_are_proven_impossible():
     rules = warehouse(8, 8, 18)
     rules = rules._replace(counts=(Count("@", 18, None),)).buildable(2)
     assert find_possible(Facts(rules))[0] == RepairStatus.IMPOSSIBLE
+
+
+def test_cells_beside_wide_aisles_are_bounded_by_those_of_the_aisles():
+    rng, tight = np.random.default_rng(0), 0
+    for _ in range(200):
+        rows, cols = rng.integers(3, 9, 2)
+        floor = rng.random((rows, cols)) >= rng.choice([0, 0.15, 0.3])
+        allowed = floor[..., None] | np.array([False, True, False])
+        facts = Facts(yard(rows, cols, 0, None, allowed=allowed).buildable(2))
+        (rule,) = facts.rules.covers
+        room = facts.room(rule)
+        corners = rng.random((rows, cols)) < rng.random()
+        squares = ndimage.binary_dilation(ndimage.binary_erosion(room, SQUARE) & corners, SQUARE)
+        drives = squares | (floor & ~room & (rng.random((rows, cols)) < 0.7))
+        labels, parts = ndimage.label(drives)
+        for part in range(1, parts + 1):
+            aisle = np.pad(labels == part, 1)
+            ring = (ndimage.binary_dilation(aisle) & ~aisle).sum()
+            cells = aisle.sum() + (aisle & ~np.pad(room, 1)).sum()
+            assert ring <= cells + facts.spare_ring(rule)
+            tight += ring == cells + facts.spare_ring(rule)
+    assert tight > 10  # no smaller bound holds
+
+
+def test_a_layout_is_found_or_excluded_where_aisles_are_wide():
+    """Near the most that fit: found without paying for changes, or excluded by a relaxation."""
+    facts = Facts(yard(16, 18, 112, 112).buildable(2, (2, 3)))
+    status, layout = find_possible(facts)
+    assert status == RepairStatus.ANNEALED and audit(layout, facts.rules) == []
+    rules = yard(10, 12, 60, 60).buildable(2)
+    assert impossible(rules) is None
+    assert explain(rules) == "60 '@' are required but 59 at most can be reached"
 
 
 @pytest.mark.parametrize(("stations", "exists"), [(2, False), (3, True)])

@@ -186,14 +186,16 @@ def repair(
     target = place(out, default, endings, inputs)
     beside = target.path if target else Path(default)
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
-    rows, cols = plan.layout.shape
-    say(f"{name}: {rows} x {cols}, {plan.whose}")
+    say("{}: {} x {}, {}".format(name, *plan.layout.shape, plan.whose))
     # These import jax, a compiler and a solver: refusals are faster without them.
+    from qdenv.repair.milp.feasibility import explain
     from qdenv.repair.recipe import repair_layout
     from qdenv.score import similarity
 
     with Bar("repairing") as bar:
         result = repair_layout(plan.layout, rules, seed, RepairConfig(polish=polish), bar)
+        if result.status == RepairStatus.IMPOSSIBLE:
+            raise InputError(f"{name}: no repair exists: {explain(rules, bar)}")
     repaired = np.asarray(result.layout)
     changes = list_changes(plan.layout, repaired, fitted)
     weights = plan.domain.similarity_weights(plan.layout)

@@ -87,6 +87,17 @@ class Facts:
         may = self.may(rule.tiles)
         return np.any([ndimage.binary_opening(may, np.ones(shape)) for shape in rule.shapes], 0)
 
+    def spare_ring(self, rule: Cover) -> int:
+        """Return how many more cells may lie beside wide aisles than aisles have cells.
+
+        Squares of 2 x 2 cells that hang together have at most four more: one alone does, and no
+        other one adds more cells beside them than cells (tried for all ways to lie on others; the
+        larger squares consist of such). A cell without room for a square counts twice, and pieces
+        that hang together over such cells alone may each have two more.
+        """
+        room, narrow = self.room(rule), self.may(rule.tiles) & ~self.room(rule)
+        return 2 + 2 * max(int(count_neighbours(narrow)[room].sum()), 1)
+
     def keeps(self, layout: np.ndarray) -> np.ndarray:
         """Mark the cells that may keep the tile of `layout` (int8 [H, W] -> bool [H, W])."""
         rows, cols = np.indices(layout.shape)
@@ -226,7 +237,9 @@ def _impossible_covers(facts: Facts) -> str | None:
                     continue
                 ratio = (4 * rows - 2) / rows**2
                 holds, narrow = facts.may(tiles), int((facts.may(rule.tiles) & ~room).sum())
-                most = int((ratio * (room | holds).sum() + 2 * narrow + 2) / (1 + ratio))
+                cells = int((room | holds).sum())
+                most = int((ratio * cells + 2 * narrow + 2) / (1 + ratio))
+                most = min(most, (cells + 2 * narrow + facts.spare_ring(rule)) // 2)
                 if low > most and not set(tiles) & set(rules.connected):
                     reach = f"aisles {rows} cells wide can reach at most {most}"
                     return f"{low} {named} are required but {reach}"
@@ -237,11 +250,18 @@ def _impossible_covers(facts: Facts) -> str | None:
                     return f"{low} {named} are required but {rack} have room for {most} at most"
                 if high is not None and high < rows * cols and not exempt.any():
                     return f"{high} {named} at most are allowed but {rack} take {rows * cols}"
-            if not widens and min(rows, cols) > 2 and low > facts.must(tiles).sum():
-                for held, need in rules.adjacency:
-                    if set(rule.tiles) <= set(held) and not set(need) & set(rule.tiles):
-                        lacks = f"the middle has no {rules.name(need)} beside it"
-                        return f"in racks of {rows} x {cols} {lacks}"
+            if widens or min(rows, cols) < 2:
+                continue
+            needs = [need for held, need in rules.adjacency if set(rule.tiles) <= set(held)]
+            if all(set(need) & set(rule.tiles) for need in needs):
+                continue
+            if min(rows, cols) > 2 and low > facts.must(tiles).sum():
+                lacks = f"the middle has no {rules.name(needs[0])} beside it"
+                return f"in racks of {rows} x {cols} {lacks}"
+            # Racks are squares of 2 x 2 cells. Two that share their corner would close in the cell
+            # there, so those that overlap lie in a row, and each row has two lines.
+            if low == high and low % 2 and set(tiles) == set(rule.tiles) and not exempt.any():
+                return f"{low} {named} are required but racks 2 cells deep hold an even number"
     return None
 
 

@@ -14,7 +14,6 @@ from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax, jnp
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, PositiveInt, check_range
-from qdenv.repair.rules import impossible
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
@@ -148,7 +147,9 @@ def repair_grown(
     domain = grown.domain
     if domain.rules is None:
         return None
-    from qdenv.repair.recipe import repair_layout  # imports a compiler and a solver
+    # These import a compiler and a solver.
+    from qdenv.repair.milp.feasibility import explain
+    from qdenv.repair.recipe import repair_layout
 
     rules = domain.rules()
     result = repair_layout(grown.layout, rules, seed, config, progress)
@@ -157,7 +158,7 @@ def repair_grown(
         demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())
         raise InputError(
             f"no repair of {rows} x {cols}{demanded}: "
-            f"{impossible(rules) or 'none was found, try another repair seed'}"
+            f"{explain(rules, progress) or 'none was found, try another repair seed'}"
         )
     return result
 

@@ -12,19 +12,24 @@ import highspy
 import numpy as np
 from scipy import ndimage
 
+from qdenv.grid import MOVES, count_neighbours
 from qdenv.progress import Progress, silent
-from qdenv.repair.anneal.packing import pack
+from qdenv.repair.anneal.loop import LOW_PENALTY, anneal
+from qdenv.repair.anneal.packing import draw_templates, pack
 from qdenv.repair.audit import audit
 from qdenv.repair.milp import highs
 from qdenv.repair.milp.program import Constraints, Program, at_least, build, decode
-from qdenv.repair.rules import Facts, assign_kinds
-from qdenv.types import RepairStatus
+from qdenv.repair.rules import Facts, assign_kinds, impossible
+from qdenv.types import RepairStatus, Rules
 
 _BRANCHED_CELLS = 120  # that may change: with more, branching decides little
 _NODES = 2000  # of one solve
 _INTERRUPT_BUDGET = 2000  # of one solve
 _ROUNDS = 40  # solves, each with more connectivity cuts
 _CACHED_RULES = 32
+_TOLERANCE = 1e-3  # of the greatest number that a relaxation has room for
+_STARTS = 8  # regular layouts to search a layout from
+_MOVES_PER_CELL = 560  # of such a search
 
 # A status and a layout: `ANNEALED` with one (int8 [H, W]) that obeys every rule, `IMPOSSIBLE` where
 # none exists, else `FAILED`.
@@ -48,10 +53,36 @@ def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
         return _answers[key]
 
 
+def explain(rules: Rules, progress: Progress = silent) -> str | None:
+    """Return why no layout obeys the rules, as counting or a proof shows; None where one may."""
+    reason, facts = impossible(rules), Facts(rules)
+    if reason or find_possible(facts, progress)[0] != RepairStatus.IMPOSSIBLE:
+        return reason
+    for index, bound in enumerate(rules.counts):
+        # How many are there at most, where none is required?
+        counts = list(rules.counts)
+        counts[index] = bound._replace(low=0)
+        program = build_free(Facts(rules._replace(counts=tuple(counts))), spanned=True)
+        values, constant = program.cells.express(facts.roles_of(bound.tiles))
+        used, cost = program.cells.columns >= 0, program.cost.copy()
+        cost[program.cells.columns[used]] = -values[used]
+        relaxed = highs.solve_relaxation(program._replace(cost=cost, constant=-constant.sum()))
+        most = int(-relaxed.getInfo().objective_function_value + _TOLERANCE)
+        optimal = relaxed.getModelStatus() == highspy.HighsModelStatus.kOptimal
+        if optimal and most < bound.low:
+            named = rules.name(bound.tiles, many=True)
+            return f"{bound.low} {named} are required but {most} at most can be reached"
+    return "the rules exclude one another, as an integer program shows"
+
+
 def _decide(facts: Facts, progress: Progress) -> Existence:
     """Try the relaxation, then the solver or the packer."""
     if facts.free_cells > highs.MAX_CELLS:
         return RepairStatus.FAILED, None
+    if facts.rules.covers:  # an annealer that pays nothing for changes is faster than a relaxation
+        layout = _search(facts, progress)
+        if layout is not None:
+            return RepairStatus.ANNEALED, layout
     progress("checking whether any layout exists", 0.0, "")
     relaxed = highs.solve_relaxation(build_free(facts, spanned=True))
     if relaxed.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
@@ -83,11 +114,67 @@ def _decide(facts: Facts, progress: Progress) -> Existence:
     return RepairStatus.FAILED, None
 
 
+def _search(facts: Facts, progress: Progress) -> np.ndarray | None:
+    """Anneal without a cost of changes, from regular layouts and from open floor."""
+    free = Facts(facts.rules._replace(change_cost=np.zeros_like(facts.rules.change_cost)))
+    starts = [*draw_templates(facts.any_layout, facts)[:_STARTS], facts.any_layout]
+    for seed, start in enumerate(starts):
+        moves = _MOVES_PER_CELL * facts.free_cells
+        found, _ = anneal(start, free, seed, moves, start, LOW_PENALTY, progress, bound=0.0)
+        if found is not None and not audit(found, facts.rules):
+            return found
+    return None
+
+
 def build_free(facts: Facts, spanned: bool) -> Program:
     """Build the program in which every layout costs nothing; `spanned` with `_span`'s rows."""
     program = build(facts.any_layout, facts)
     program = program._replace(cost=np.zeros_like(program.cost), constant=0.0)
+    program = _surround(program, facts) if any(facts.widens) else program
     return _span(program, facts) if spanned and facts.rules.connected else program
+
+
+def _surround(program: Program, facts: Facts) -> Program:
+    """Bound what lies beside wide aisles by their cells, see `Facts.spare_ring`.
+
+    That is every obstacle which they serve, and walls and the outside where they run along them. A
+    (continuous) variable for each wall is added behind the others.
+    """
+    rules, first, shape = facts.rules, program.cost.size, facts.free.shape
+    rule = rules.covers[facts.widens.index(True)]
+    served = "".join(
+        tile
+        for tile, needs in zip(rules.tiles, facts.needs, strict=True)
+        if tile not in rules.connected and any(set(need) <= set(rules.connected) for need in needs)
+    )
+    may, columns = facts.may(rules.connected), program.cells.columns
+    walls = ~may & ~facts.may(served) & (count_neighbours(may) > 0)
+    wall = np.where(walls, first + np.cumsum(walls).reshape(shape) - 1, -1)
+    (own, drives), (held, holds) = (
+        program.cells.express(facts.roles_of(tiles)) for tiles in (rules.connected, served)
+    )
+    rows = []
+    for down, right in MOVES:
+        # The wall beside a cell, -1 for none: it counts once, however many cells it is beside.
+        beside = np.pad(wall, 1, constant_values=-1)[1 + down :, 1 + right :]
+        beside = beside[: shape[0], : shape[1]]
+        here = may & (beside >= 0)
+        rows.append(at_least(drives[here], (columns[here], -own[here]), (beside[here], 1.0)))
+    outside = 4 - count_neighbours(np.ones(shape, bool))
+    weight = np.where(facts.room(rule), 1.0, 2.0) - outside
+    constant = (weight * drives - holds).sum()
+    values = (weight[..., None] * own - held).reshape(1, -1)
+    least = np.array([-facts.spare_ring(rule) - constant])
+    rows.append(
+        at_least(least, (columns.reshape(1, -1), values), (wall[walls].reshape(1, -1), -1.0))
+    )
+    more = int(walls.sum())
+    return program._replace(
+        cost=np.pad(program.cost, (0, more)),
+        upper=np.pad(program.upper, (0, more), constant_values=1.0),
+        integer=np.pad(program.integer, (0, more)),
+        rows=[*program.rows, *rows],
+    )
 
 
 def _span(program: Program, facts: Facts) -> Program:
