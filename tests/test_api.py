@@ -128,6 +128,10 @@ def test_an_environment_is_made_by_a_files_name(path):
     environment = qdenv.make_environment(str(path), agents=5, timesteps=30)
     _, timestep = environment.reset(jax.random.key(0))
     assert timestep.observation.position.shape == (5,) and environment.actions == 5
+    both = qdenv.make_environment([path, PLAN], agents=5, domain="warehouse-uneven")
+    assert both.layout.shape == (2, *PLAN.shape) and (both.layout[0] == both.layout[1]).all()
+    with pytest.raises(InputError, match="one size"):
+        qdenv.make_environment([path, PLAN[1:]], domain="warehouse-uneven")
     with pytest.raises(InputError, match="no fleet drives"):
         qdenv.make_environment(np.zeros((5, 5), np.int8), domain="maze-walls")
 

@@ -2,6 +2,7 @@
 
 from itertools import product
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -156,6 +157,29 @@ def test_a_learner_brings_its_own_observation_and_counts_its_own_steps():
         state, timestep = jax.jit(environment.step)(state, jnp.full(3, WAIT))
         lasts.append((int(timestep.observation["time"]), bool(timestep.last)))
     assert lasts == [(1, False), (2, True)]
+
+
+def test_runs_on_a_batch_of_layouts_begin_again_by_themselves():
+    layouts = np.stack([ROOM, ROOM[::-1]])
+    batch = Environment(layouts, PLAIN, 3, timesteps=2, auto_reset=True)
+    keys, moves = jax.random.split(jax.random.key(4), 2), jnp.array([[RIGHT, UP, LEFT]] * 2)
+    state, first = jax.jit(jax.vmap(batch.reset))(keys, jnp.arange(2))
+    step = jax.jit(jax.vmap(batch.step))
+    for row in range(2):  # each as alone on its layout
+        alone = Environment(layouts[row], PLAIN, 3, timesteps=2)
+        begun, seen = alone.reset(keys[row])
+        chex.assert_trees_all_equal(seen, jax.tree.map(lambda leaf, row=row: leaf[row], first))
+        after = alone.step(begun, moves[row])[1]
+        there = step(state, moves)[1]
+        chex.assert_trees_all_equal(after, jax.tree.map(lambda leaf, row=row: leaf[row], there))
+    ends = []
+    for _ in range(4):
+        state, timestep = step(state, moves)
+        ends.append((timestep.last.tolist(), timestep.observation.time.tolist()))
+    assert ends == [([False] * 2, [1, 1]), ([True] * 2, [0, 0])] * 2
+    assert state.layout.tolist() == [0, 1]
+    assert (np.asarray(state.position) != np.asarray(first.observation.position)).any()  # drawn
+    assert batch.free[np.arange(2)[:, None], *np.divmod(state.position, ROOM.shape[1])].all()
 
 
 def test_what_makes_no_environment_is_refused():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -356,28 +357,37 @@ def list_symbols(domain: Domain) -> list[tuple[str, ...]]:
 
 
 def make_environment(
-    layout: args.Source,
+    layout: args.Source | Sequence[args.Source],
     agents: int = 50,
     timesteps: int = 1000,
     domain: str | None = None,
     observe: Observe | None = None,
+    auto_reset: bool = False,
 ) -> Environment:
     """Make a stepwise environment for learners: one action for every robot.
 
     Args:
-        layout: see `read_plan`.
+        layout: see `read_plan`; or several of one size and domain, in a list or int [B, H, W].
         agents: number of robots.
         timesteps: number of steps until `Timestep.last`.
         domain: whose tasks they do.
         observe: traceable function of the state; positions, goals and services unless given.
+        auto_reset: the step that ends a run begins the next one on the same layout.
 
     Raises:
-        InputError: no fleet drives in this domain, or not on this layout.
+        InputError: no fleet drives in this domain, or not on a layout, or their sizes differ.
     """
     from qdenv.simulate.mapf.environment import Environment, observe_plainly  # imports jax
 
-    plan = args.read_plan(layout, domain)
-    tasks = plan.domain.simulator.tasks
+    one: Any = layout  # a list of lists is a layout, too
+    several = type(one) in (list, tuple) and not isinstance(one[0], list)
+    several |= isinstance(one, np.ndarray) and one.ndim == 3
+    plans = [args.read_plan(each, domain) for each in (one if several else [one])]
+    if len({(plan.layout.shape, plan.domain.name) for plan in plans}) > 1:
+        raise InputError("layouts of one environment have one size and one domain")
+    first = plans[0].domain
+    tasks = first.simulator.tasks
     if tasks is None:
-        raise InputError(f"no fleet drives in {plan.domain.name}")
-    return Environment(plan.layout, tasks, agents, timesteps, observe or observe_plainly)
+        raise InputError(f"no fleet drives in {first.name}")
+    layouts = np.stack([plan.layout for plan in plans]) if several else plans[0].layout
+    return Environment(layouts, tasks, agents, timesteps, observe or observe_plainly, auto_reset)

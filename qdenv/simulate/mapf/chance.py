@@ -26,7 +26,7 @@ _SECOND: Any = np.uint32(0x846CA68B)
 CHANCE_BITS = 24  # exact in a float32
 
 # What a number is drawn for: each purpose has different bits.
-STARTS, FIRST_GOAL, SECOND_GOAL, GOALS, PLANS = range(5)  # by a run
+STARTS, FIRST_GOAL, SECOND_GOAL, GOALS, PLANS, NEXT_RUN = range(6)  # by a run
 ORDER, TIES, RESORT = range(3)  # by a planner, of the seed of a window
 
 

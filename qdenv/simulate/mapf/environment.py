@@ -1,8 +1,12 @@
 """The simulator step by step, for learners: one action for every robot, pure functions.
 
 The rules are those of `qdenv.simulate`; who drives is up to the caller. `reset` and `step` can be
-jitted, vmapped over keys and scanned. Starts and goals are drawn as in `fleet.simulate`: the same
-key and moves give the same tasks.
+jitted, vmapped over keys and layouts, and scanned. Starts and goals are drawn as in
+`fleet.simulate`: the same key and moves give the same tasks.
+
+    environment = qdenv.make_environment(layouts, agents=30, auto_reset=True)  # int8 [B, H, W]
+    states, timesteps = jax.vmap(environment.reset)(jax.random.split(key, B), jnp.arange(B))
+    states, timesteps = jax.vmap(environment.step)(states, actions)  # int32 [B, A]
 
 **Actions** are int32 [A]: 0 right, 1 left, 2 down, 3 up, 4 wait. An action that the rules forbid
 becomes a wait, so no step ever breaks one:
@@ -39,6 +43,7 @@ class EnvironmentState(NamedTuple):
     goal: jax.Array  # int32 [2, A], cells of the current and of the next goal
     time: jax.Array  # int32, steps so far
     seed: jax.Array  # uint32, of all that is drawn
+    layout: jax.Array  # int32, which of the environment's layouts
 
     @property
     def position(self) -> jax.Array:
@@ -67,7 +72,9 @@ class Timestep(NamedTuple):
     observation: Any  # what the environment's `observe` made of the state
     reward: jax.Array  # float32 [A], tasks that each robot finished, 0 or 1
     refused: jax.Array  # bool [A], the robot's move became a wait
-    last: jax.Array  # bool, the horizon is reached; steps beyond it are possible
+    # bool, the horizon is reached; steps beyond it are possible, unless a new run began: then the
+    # observation is its first, all else that of the step which ended the run before
+    last: jax.Array
 
 
 Observe = Callable[[EnvironmentState], Any]
@@ -80,10 +87,10 @@ def observe_plainly(state: EnvironmentState) -> Observation:
 
 
 class Environment:
-    """A fleet of `agents` robots (A) on one layout; the last step is that at `timesteps`."""
+    """A fleet of `agents` robots (A) on a layout, or one of B; the last step is at `timesteps`."""
 
-    layout: np.ndarray  # int8 [H, W]
-    free: np.ndarray  # bool [H, W], cells robots may drive on
+    layout: np.ndarray  # int8 [H, W] or [B, H, W]
+    free: np.ndarray  # bool, as `layout`: cells robots may drive on
     actions = len(MOVES) + 1
 
     def __init__(
@@ -93,64 +100,78 @@ class Environment:
         agents: int,
         timesteps: int = 1000,
         observe: Observe = observe_plainly,
+        auto_reset: bool = False,
     ) -> None:
-        """Prepare a layout; `observe`, traceable, makes the observation of a state.
+        """Prepare layouts; `observe`, traceable, makes the observation of a state.
 
-        Raises InputError if the fleet could not work on this layout, or a number is below one.
+        With `auto_reset` the step that ends a run begins the next one, on the same layout. Raises
+        InputError if the fleet could not work on a layout, or a number is below one.
         """
         if agents < 1 or timesteps < 1:
             raise InputError("an environment needs at least one robot and one timestep")
-        check_playable(layout, rule, agents)
+        layouts = layout.reshape(-1, *layout.shape[-2:])
+        for one in layouts:
+            check_playable(one, rule, agents)
         self.layout, self.agents, self.timesteps = layout, agents, timesteps
         self.free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
-        self._observe = observe
-        self._world = World(
-            traversable=jnp.asarray(self.free),
-            goals=goal_table(layout, rule, layout.size),
-            # No planner needs to know how far it is.
-            distance=jnp.zeros((0, layout.size), jnp.int16),
-            valid=jnp.bool_(True),
-            margin=0,
-        )
+        self._observe, self._auto_reset = observe, auto_reset
+        tables = [goal_table(one, rule, one.size) for one in layouts]
+        self._goals = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tables)
+        self._traversable = jnp.asarray(self.free).reshape(layouts.shape)
         self._everyone = jnp.ones((agents,), bool)
 
-    def reset(self, key: jax.Array) -> tuple[EnvironmentState, Timestep]:
-        """Begin a run; the key is consumed and decides starts and goals."""
-        seed = chance.seed_of(key)
-        fleet = place(self._world, 0, self._everyone, seed)
-        cells = self._world.goals.cells[fleet.goal]
-        state = EnvironmentState(fleet, cells, jnp.int32(0), seed)
+    def _world(self, layout: jax.Array) -> World:
+        goals = jax.tree.map(lambda leaf: leaf[layout], self._goals)
+        size = self._traversable[0].size
+        # No planner needs to know how far it is.
+        distance = jnp.zeros((0, size), jnp.int16)
+        return World(self._traversable[layout], goals, distance, jnp.bool_(True), margin=0)
+
+    def reset(self, key: jax.Array, layout: Array | int = 0) -> tuple[EnvironmentState, Timestep]:
+        """Begin a run on the layout of this number; the key is consumed: starts and goals."""
+        state = self._begin(chance.seed_of(key), jnp.asarray(layout, jnp.int32))
         nothing, last = jnp.zeros((self.agents,), jnp.float32), state.time >= self.timesteps
         return state, Timestep(self._observe(state), nothing, ~self._everyone, last)
+
+    def _begin(self, seed: jax.Array, layout: jax.Array) -> EnvironmentState:
+        world = self._world(layout)
+        fleet = place(world, 0, self._everyone, seed)
+        return EnvironmentState(fleet, world.goals.cells[fleet.goal], jnp.int32(0), seed, layout)
 
     def step(self, state: EnvironmentState, actions: Array) -> tuple[EnvironmentState, Timestep]:
         """Drive all robots by one step.
 
         Actions are int32 [A], 0 right, 1 left, 2 down, 3 up, 4 wait; every other number waits, too.
         """
-        fleet, seed = state.fleet, state.seed
-        ahead = self.targets(fleet.position, jnp.asarray(actions))
+        fleet, seed, world = state.fleet, state.seed, self._world(state.layout)
+        ahead = self.targets(fleet.position, jnp.asarray(actions), state.layout)
         cell = jnp.where(fleet.remaining_service > 0, fleet.position, ahead)
-        cell = settle(fleet.position, cell, self.layout.size)
+        cell = settle(fleet.position, cell, world.traversable.size)
         drawn = chance.draw(chance.draw(seed, chance.GOALS), state.time)
         refused = (cell == fleet.position) & (actions >= 0) & (actions < WAIT)
-        fleet, finished = drive(self._world, fleet, cell, self._everyone, drawn)
+        fleet, finished = drive(world, fleet, cell, self._everyone, drawn)
         # Each step is a new plan: a stay never has to wait for the next one.
         fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
-        after = EnvironmentState(fleet, self._world.goals.cells[fleet.goal], state.time + 1, seed)
+        cells = world.goals.cells[fleet.goal]
+        after = EnvironmentState(fleet, cells, state.time + 1, seed, state.layout)
         reward, last = finished.astype(jnp.float32), after.time >= self.timesteps
+        if self._auto_reset:
+            fresh = self._begin(chance.draw(seed, chance.NEXT_RUN), state.layout)
+            after = jax.tree.map(lambda new, old: jnp.where(last, new, old), fresh, after)
         return after, Timestep(self._observe(after), reward, refused, last)
 
-    def targets(self, position: jax.Array, actions: jax.Array) -> jax.Array:
+    def targets(
+        self, position: jax.Array, actions: jax.Array, layout: Array | int = 0
+    ) -> jax.Array:
         """Find the cells that actions lead to where no agent is in the way (int32 [A])."""
-        rows, cols = self.free.shape
+        rows, cols = self.free.shape[-2:]
         steps = jnp.array([*MOVES, (0, 0)], jnp.int32)
         known = (actions >= 0) & (actions < self.actions)
         step = steps[jnp.where(known, actions, WAIT)]
         row, col = position // cols + step[:, 0], position % cols + step[:, 1]
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
         target = jnp.where(inside, row * cols + col, position)
-        return jnp.where(self._world.traversable.reshape(-1)[target], target, position)
+        return jnp.where(self._traversable[layout].reshape(-1)[target], target, position)
 
 
 def settle(position: jax.Array, ahead: jax.Array, cells: int) -> jax.Array:
