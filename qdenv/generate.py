@@ -34,6 +34,7 @@ class Canvas(NamedTuple):
     cols: int  # columns w of the generated area
     tiles: str  # symbols that may be drawn; the first one is the empty tile
     seed_block: tuple[str, ...]  # rows of the fixed block in the middle of the empty canvas
+    domain: Any = None  # the `Domain` whose area it is, for generators that draw for one
 
 
 class Generator(NamedTuple):
@@ -60,6 +61,7 @@ GENERATORS = Registry(
     {
         "nca": "qdenv.generate:NCA_GENERATOR",
         "direct": "qdenv.generate:DIRECT_GENERATOR",
+        "racks": "qdenv.generate:RACKS_GENERATOR",
         "guided-nca": "qdenv.generate:GUIDED_NCA_GENERATOR",
         "costs": "qdenv.generate:COSTS_GENERATOR",
         "update": "qdenv.generate:UPDATE_GENERATOR",
@@ -127,7 +129,13 @@ class DirectConfig:
     """The numbers of the generator that draws nothing: a solution is the tiles themselves."""
 
 
+@dataclass(frozen=True)
+class RacksConfig:
+    """The numbers of the generator of racks in rows, twelve numbers a solution (`racks`)."""
+
+
 DIRECT_GENERATOR = Entry(DirectConfig, "qdenv.generate:direct")
+RACKS_GENERATOR = Entry(RacksConfig, "qdenv.racks:racks")
 NCA_GENERATOR = Entry(NcaConfig, "qdenv.nca:nca")
 GUIDED_NCA_GENERATOR = Entry(GuidedNcaConfig, "qdenv.nca:nca")
 COSTS_GENERATOR = Entry(CostsConfig, "qdenv.generate:costs")

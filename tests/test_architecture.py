@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "qdenv"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 BASE = {"types", "ranges", "grid", "guidance", "io", "lazy", "interrupt", "stats", "progress"}
-STAGES = {"generate", "nca", "repair", "simulate", "score"}
+STAGES = {"generate", "nca", "racks", "repair", "simulate", "score"}
 PLUGS = {"registry", "devices"}
 ALLOWED = {
     "lazy": set(),
@@ -31,6 +31,7 @@ ALLOWED = {
     "progress": set(),
     "registry": {"types"},
     "nca": {"types", "generate", "grid", "guidance"},
+    "racks": {"types", "generate"},
     "generate": {"nca", "types", "ranges", "grid", "guidance", "lazy", "registry"},
     "repair": {"types", "ranges", "grid", "lazy", "native", "devices", "progress"},
     "simulate": {"types", "ranges", "grid", "guidance", "lazy", "native", "io"} | PLUGS,

@@ -12,6 +12,7 @@ import qdenv
 from qdenv import score
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain, make_domain
+from qdenv.domains.hall import HallConfig
 from qdenv.grid import draw, parse
 from qdenv.io.layouts import read_layout
 from qdenv.repair.audit import audit
@@ -19,7 +20,7 @@ from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.study.elites import tile
-from qdenv.study.plans import read_plan
+from qdenv.study.plans import read_plan, with_tasks
 from qdenv.types import InputError
 
 # An L with columns, stations of three kinds, and lines that end where the building does.
@@ -170,3 +171,25 @@ def test_generators_draw_racks_into_a_plan(tmp_path, monkeypatch):
     line = "generate zoo:warehouse-even/best --plan l.txt --aisle 2 --rack 1x2 --out made.txt"
     assert run(line.split()) == 0
     assert run(["check", "made.txt", "--aisle", "2", "--rack", "1x2"]) == 0
+
+
+def test_each_shelf_has_the_same_share_whatever_serves_it():
+    rows = ["w....", ".eee.", ".@@..", ".e..."]
+    hall = make_domain(HallConfig(rows=4, cols=5, shelves=2, demand=("shelves",)))
+    layout = parse(rows, hall.tiles)
+    weights = hall.simulator.tasks.cycle[0].weight(layout)
+    # The left shelf has endpoints above and below, the right one above only; one serves neither.
+    expected = np.zeros((4, 5), np.float32)
+    expected[1, 1] = expected[3, 1] = 6
+    expected[1, 2] = 12
+    np.testing.assert_array_equal(weights, expected)
+    jitted = jax.jit(hall.simulator.tasks.cycle[0].weight)(layout)
+    np.testing.assert_array_equal(jitted, expected)
+
+
+def test_demand_of_shelves_is_a_word_that_fits_every_size(tmp_path):
+    path = tmp_path / "hall.txt"
+    path.write_text("w....\n.eee.\n.@@..\n.....\n")
+    plan = with_tasks(qdenv.read_plan(path), {"demand": "shelves"})
+    assert plan.domain.config.demand == ("shelves",)
+    assert plan.fitted().resized(8, 10).config.demand == ("shelves",)

@@ -43,6 +43,7 @@ def test_weights_stand_in_the_published_order():
 def test_costs_come_back_to_the_bit(seed, ending, tmp_path_factory):
     rng = np.random.default_rng(seed)
     layout = rng.integers(0, 4, rng.integers(1, 8, 2)).astype(np.int8)
+    layout[0, 0] = 0  # where no robot can be there are no costs
     costs = np.exp(rng.normal(0, 3, (5, *layout.shape)))
     costs[1:][rng.random(costs[1:].shape) < 0.1] = np.inf  # lanes of one way
     path = tmp_path_factory.mktemp("costs") / f"plan{ending}"

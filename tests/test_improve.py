@@ -35,7 +35,7 @@ def plan(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def only_floor():
-    """One search of the three: each compiles for ten seconds."""
+    """One search of the four: each compiles for ten seconds."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(studies, "SECTIONS", {"floor": studies.SECTIONS["floor"]})
         yield
@@ -60,10 +60,11 @@ def test_a_better_floor_is_found_and_written_as_the_plan_came(done, plan):
     np.testing.assert_array_equal(np.isin(before.layout, kinds), np.isin(after.layout, kinds))
 
 
-def test_rules_of_a_hall_that_is_built_hold_in_what_is_found(plan, tmp_path, only_floor):
+def test_rules_of_a_hall_that_is_built_hold_in_racks_in_rows(plan, tmp_path, monkeypatch):
+    monkeypatch.setattr(studies, "SECTIONS", {"rows": studies.SECTIONS["rows"]})
     folder = tmp_path / "wide"
     qdenv.improve(plan, path=folder, evaluations=64, aisle=2, rack="1x3", **QUICK)
-    found = RunDirectory.open(folder / "floor")
+    found = RunDirectory.open(folder / "rows")
     rules = make_domain(found.config.evaluation.domain).rules()
     assert [cover.shapes for cover in rules.covers] == [((2, 2),), ((1, 3), (3, 1))]
     layouts = found.archive.columns["repaired"]

@@ -219,7 +219,7 @@ class Domain:
     @property
     def canvas(self) -> Canvas:
         """What a generator draws on: the area inside the frame."""
-        return Canvas(*self.generated_shape, self.generated, self.seed_block)
+        return Canvas(*self.generated_shape, self.generated, self.seed_block, self)
 
     @property
     def area(self) -> int:
@@ -262,6 +262,8 @@ class Domain:
         this domain's own size has no generated area.
         """
         places = [one for one in ("keep", "around", "demand") if hasattr(self.config, one)]
+        if "demand" in places and len(self.config.demand) < 2:  # is of all shelves, at any size
+            places.remove("demand")
         stays = {} if (rows, cols) == self.shape else dict.fromkeys(places, ())
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))
         if min(self.generated_shape) < 1:

@@ -19,7 +19,7 @@ from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.lazy import jax
 from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveInt, Stay, check_range
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import station_goal, tile_goal, weigh
+from qdenv.simulate.mapf.goals import BY_SHELF, share_shelves, station_goal, tile_goal, weigh
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.types import Adjacency, Count, Goal, InputError, Measure, Rules, TaskRule, Tile, Traffic
 
@@ -54,7 +54,8 @@ class HallConfig(DomainConfig):
     shares: str = ""
     # No option of its own: a file or zones become this map.
     # rows of numbers, one a cell: how likely an endpoint there is drawn as a goal. They belong to
-    # places: shelves may move, demand does not. Empty where all are alike
+    # places: shelves may move, demand does not. Or "shelves": all of these are alike, however many
+    # endpoints serve one. Empty where all endpoints are alike
     demand: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
 
     def __post_init__(self) -> None:
@@ -135,7 +136,11 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal) -> Domain:
 def hall(config: HallConfig) -> Domain:
     """Make a hall of one size, whose walls and stations are those of `config.keep`."""
     shape = config.rows, config.cols
-    endpoints = weigh(tile_goal("e", _TILES, config.pick), config.demand, shape)
+    endpoints = tile_goal("e", _TILES, config.pick)
+    if config.demand == BY_SHELF:
+        endpoints = share_shelves(endpoints, "@", _TILES)
+    else:
+        endpoints = weigh(endpoints, config.demand, shape)
     times = {sign: int(time) for sign, time in _by_station(config.drop, "drop").items()}
     shares = _by_station(config.shares, "shares")
     domain = storage(config, _TILES, endpoints, station_goal(_STATIONS, _TILES, times, shares))

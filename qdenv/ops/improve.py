@@ -191,16 +191,14 @@ def _search(
     evaluations = studies.count_evaluations(plan, config, section)
     if section == "lanes":
         run_config = studies.lanes_config(plan, config, evaluations)
-    elif section == "racks":
-        run_config = studies.racks_config(plan.layout, domain, config, evaluations, config.moves)
     else:
-        start = _choose_start(plan, domain, config)
-        run_config = studies.racks_config(start, domain, config, evaluations)
+        start = _choose_start(folder, plan, domain, config) if section == "floor" else plan.layout
+        run_config = studies.floor_config(section, start, domain, config, evaluations)
     loop.train(run_config, path, progress, execution, minutes)
 
 
-def _choose_start(plan: Plan, domain: Domain, config: Any) -> np.ndarray:
-    """Choose the best of the floors that generators draw here and the plan's (int8 [H, W]).
+def _choose_start(folder: Path, plan: Plan, domain: Domain, config: Any) -> np.ndarray:
+    """Choose the best of the plan, racks in rows and floors that generators draw (int8 [H, W]).
 
     By whole runs: in the short ones of a search, floors that fill up later look as good.
     """
@@ -209,11 +207,13 @@ def _choose_start(plan: Plan, domain: Domain, config: Any) -> np.ndarray:
     best = (studies.mean_throughput(plan, config.fleet, range(2)).mean(), plan.name, plan.layout)
     lines = [("floor", "throughput"), (plan.name, f"{best[0]:.3f}")]
     with Bar("growing generators of the zoo") as bar:
-        for name, layout in studies.zoo_floors(domain, config.seed, bar):
-            grown = plan._replace(layout=layout, costs=None)
-            worth = studies.mean_throughput(grown, config.fleet, range(2)).mean()
-            lines.append((name, f"{worth:.3f}"))
-            best = max(best, (worth, name, layout), key=lambda one: one[0])
+        zoo = [*studies.zoo_floors(domain, config.seed, bar)]
+    rows = studies.best_layouts(folder / "rows") if (folder / "rows").exists() else []
+    for name, layout in [*zoo, *((f"racks in rows {n}", one) for n, one in enumerate(rows, 1))]:
+        grown = plan._replace(layout=layout, costs=None)
+        worth = studies.mean_throughput(grown, config.fleet, range(2)).mean()
+        lines.append((name, f"{worth:.3f}"))
+        best = max(best, (worth, name, layout), key=lambda one: one[0])
     say(*format_table(lines), f"the search begins at {best[1]}")
     start: np.ndarray = best[2]
     return start

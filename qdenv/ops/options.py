@@ -130,7 +130,7 @@ class RunOptions(TypedDict, total=False):
     # `compare` takes a list of them
     planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
     # what robots do at their goals, in place of what the plan says: settings of its domain by name,
-    # like {"pick": 3}; "demand" is a file, zones, or float [H, W]
+    # like {"pick": 3}; "demand" is "shelves", a file, zones, or float [H, W]
     tasks: Annotated[dict[str, Any], arg(name="", constructor=TaskOptions)]
     # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
@@ -246,7 +246,9 @@ class Fleet:
         runs = f"{len(self.seeds)} seeds" if len(self.seeds) > 1 else "1 seed"
         end = "" if self.stop else ", no stop at congestion"
         guidance = f"; guidance: {name_guidance(plans)}" if name_guidance(plans) else ""
-        stated = {**self.tasks} | ({"demand": "by place"} if "demand" in self.tasks else {})
+        stated = {**self.tasks}
+        if "demand" in stated:
+            stated["demand"] = "by shelf" if stated["demand"] == "shelves" else "by place"
         tasks = "".join(f", {name} {one}" for name, one in stated.items())
         return (
             f"{agents} agents, {timesteps} timesteps{end}, {runs}, {plans[0].whose}{tasks}; "

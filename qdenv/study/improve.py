@@ -1,6 +1,6 @@
-"""A better plan than one's own: lanes on it, some of its racks moved, a new floor.
+"""A better plan than one's own: lanes on it, some of its racks moved, racks in rows, a new floor.
 
-Three searches, each an ordinary run. What they found is judged with seeds that none of them has
+Four searches, each an ordinary run. What they found is judged with seeds that none of them has
 seen, beside the plan itself.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generate import GENERATORS, DirectConfig
+from qdenv.generate import GENERATORS, DirectConfig, RacksConfig
 from qdenv.grid import draw
 from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax
@@ -27,7 +27,7 @@ from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
-from qdenv.search.settings import RearrangeConfig
+from qdenv.search.settings import CmaEsConfig, RearrangeConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.shipped import PREFIX, named, names
 from qdenv.simulate.mapf.settings import FleetConfig
@@ -40,9 +40,10 @@ from qdenv.types import RepairStatus
 
 # Folder of a search -> how people call it, and its share of the time; the rest is for judging.
 SECTIONS = {
-    "lanes": ("lanes only", 0.2),
-    "racks": ("some racks", 0.25),
-    "floor": ("a new floor", 0.4),
+    "lanes": ("lanes only", 0.1),
+    "racks": ("some racks", 0.15),
+    "rows": ("racks in rows", 0.3),
+    "floor": ("a new floor", 0.3),
 }
 CROWD = 1.25  # times the number of robots, at which no result may be worse either
 _SEARCHED = 1.125  # times it, with which a search simulates: between both
@@ -51,6 +52,9 @@ _SIMULATIONS = 1  # of a layout in an evaluation: what looks good is evaluated a
 # A rearranged layout breaks few rules: a tenth of the usual annealing mends it, in 12 ms on 30 x 40
 # cells where 400 take 30, and changes as little.
 _MENDING = RepairConfig(moves_per_cell=100)
+# Twelve numbers with noise: the full covariance is affordable, and small populations learn little.
+_ROWS = CmaEsConfig(batch=32, sigma0=1.0, strategy="full")
+_REARRANGE, _MOST_CELLS = RearrangeConfig(), 100  # of an archive
 # The first of the seeds that judge. Searches draw theirs from their own keys, and costs of moves
 # are chosen with those from 1,000,000 on.
 _FRESH = 2_000_000
@@ -144,24 +148,27 @@ def zoo_floors(
             yield f"{PREFIX}{home}/{one.name}", np.asarray(mended.layout)
 
 
-def racks_config(
-    layout: np.ndarray, domain: Domain, config: ImproveConfig, evaluations: int, most: int = 0
+def floor_config(
+    section: str, layout: np.ndarray, domain: Domain, config: ImproveConfig, evaluations: int
 ) -> RunConfig:
-    """Configure a search around a layout (int8 [H, W]), of whose racks `most` move at the most.
+    """Configure the search of a section around a layout (int8 [H, W]): "racks", "rows" or "floor".
 
-    Any number of them where it is 0.
+    The archive's axis is the number of the layout's racks that are moved.
     """
-    drawing = tuple(draw(layout, domain.tiles))
-    settings = replace(domain.config, fleet=config.searched, around=drawing)
-    axis = make_domain(settings).measures[0]
-    ends = (0.0, float(most + 1), most + 1) if 0 < most < axis.cells else (axis.low, axis.high, 50)
+    settings = replace(
+        domain.config, fleet=config.searched, around=tuple(draw(layout, domain.tiles))
+    )
+    axis, generator, algorithm = make_domain(settings).measures[0], DirectConfig(), _REARRANGE
+    most, cells = axis.high, _MOST_CELLS
+    if section == "racks" and config.moves < axis.cells:
+        most = cells = config.moves + 1
+    if section == "rows":
+        generator, algorithm = RacksConfig(), _ROWS
     return RunConfig(
-        evaluation=EvaluationConfig(
-            settings, DirectConfig(), _SIMULATIONS, alpha=0.0, repair=_MENDING
-        ),
-        algorithm=RearrangeConfig(),
+        evaluation=EvaluationConfig(settings, generator, _SIMULATIONS, alpha=0.0, repair=_MENDING),
+        algorithm=algorithm,
         evaluations=evaluations,
-        archive=(ends,),
+        archive=((axis.low, float(most), min(cells, axis.cells)),),
         seed=config.seed,
     )
 
@@ -219,19 +226,24 @@ def candidates_of(
     if section == "lanes":
         layouts = [plan.layout]
     else:
-        archive = RunDirectory.open(folder / section).archive
-        order = np.argsort(-archive.columns["objective"], kind="stable")[:_CANDIDATES]
-        layouts = [archive.columns["repaired"][row] for row in order]
+        layouts = best_layouts(folder / section)
     found = []
     for layout in layouts:
         bare = plan._replace(layout=layout, costs=None, guidance="none")
         if section != "lanes":
             found.append(Candidate(section, bare, "none"))
         found.append(Candidate(section, guide(bare, "crisscross"), "crisscross"))
-        if lanes is not None and section != "floor":
+        if lanes is not None and section in ("lanes", "racks"):
             own = keep_costs(plan._replace(costs=lanes), layout)
             found.append(Candidate(section, bare._replace(costs=own, guidance="lanes"), "searched"))
     return found
+
+
+def best_layouts(run: Path) -> list[np.ndarray]:
+    """Read the layouts (int8 [H, W]) that looked best in a search."""
+    archive = RunDirectory.open(run).archive
+    order = np.argsort(-archive.columns["objective"], kind="stable")[:_CANDIDATES]
+    return [archive.columns["repaired"][row] for row in order]
 
 
 def searched_lanes(plan: Plan, folder: Path) -> np.ndarray:

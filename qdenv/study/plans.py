@@ -17,7 +17,7 @@ from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import ENDINGS, aliases, read_drawing, to_layout
 from qdenv.io.records import structured
 from qdenv.lazy import ndimage
-from qdenv.simulate.mapf.goals import rows_of_odds, task_odds
+from qdenv.simulate.mapf.goals import BY_SHELF, rows_of_odds, task_odds
 from qdenv.study.keep import Keep, keep_from
 from qdenv.types import Floor, InputError, about, choices
 
@@ -160,8 +160,8 @@ def is_plain(layout: np.ndarray, domain: Domain) -> bool:
 def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
     """Give a plan other settings of its domain that say what robots do at their goals.
 
-    "demand" among them is a file or zones (`io.demand`), odds of places (float [H, W]), or rows of
-    them as in the domain's settings. Raises InputError if the domain has no such setting, or a
+    "demand" among them is "shelves", a file or zones (`io.demand`), odds of places (float [H, W]),
+    or rows of them as in the domain's settings. Raises InputError if the domain has no such setting, or a
     value is impossible.
     """
     if not settings:
@@ -172,6 +172,8 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
             known = ", ".join(domain.task_settings) or "none"
             raise InputError(f"{domain.name} has no setting {name!r} of tasks: it has {known}")
     demand = changes.get("demand", ())
+    if isinstance(demand, str) and demand == BY_SHELF[0]:
+        changes["demand"] = demand = BY_SHELF
     if not isinstance(demand, tuple):
         plain = make_domain(replace(domain.config, demand=())).simulator.tasks
         assert plain is not None  # else there is no demand
@@ -179,7 +181,7 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
         if isinstance(demand, str | Path):
             demand = read_demand(demand, endpoints)
         changes["demand"] = rows_of_odds(np.asarray(demand, float))
-    if changes.get("demand"):  # a map of places fits one size
+    if changes.get("demand", BY_SHELF) not in ((), BY_SHELF):  # a map of places fits one size
         changes |= dict(zip(("rows", "cols"), plan.layout.shape, strict=True))
     return plan._replace(domain=make_domain(replace(domain.config, **changes)))
 

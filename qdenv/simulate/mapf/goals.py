@@ -86,6 +86,21 @@ def weigh(goal: Goal, rows: Sequence[str], shape: tuple[int, int]) -> Goal:
     return goal._replace(weight=lambda layout: odds * goal.weight(layout))
 
 
+BY_SHELF = ("shelves",)  # in place of rows of numbers: demand belongs to shelves, not to places
+
+
+def share_shelves(goal: Goal, shelf: str, tiles: str) -> Goal:
+    """Give each `shelf` cell the same odds, divided equally among the goal's cells beside it."""
+
+    def weight(layout: Array) -> Array:
+        cells = goal.weight(layout) > 0
+        # A twelfth of a shelf is the unit: whole numbers, whichever of 1 to 4 cells share it.
+        parts = of_tiles(layout, shelf, tiles) * 12 // count_neighbours(cells).clip(1)
+        return (cells * count_neighbours(parts)).astype(np.float32)
+
+    return goal._replace(weight=weight)
+
+
 def rows_of_odds(odds: np.ndarray) -> tuple[str, ...]:
     """Write odds of places (float [H, W]) as rows of numbers, which are hashable."""
     return tuple(" ".join(f"{one:g}" for one in row) for row in odds)
