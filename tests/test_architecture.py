@@ -32,7 +32,7 @@ ALLOWED = {
     "registry": {"types"},
     "nca": {"types", "generate", "grid", "guidance"},
     "racks": {"types", "generate"},
-    "generate": {"nca", "types", "ranges", "grid", "guidance", "lazy", "registry"},
+    "generate": {"nca", "racks", "types", "ranges", "grid", "guidance", "lazy", "registry"},
     "repair": {"types", "ranges", "grid", "lazy", "native", "devices", "progress"},
     "simulate": {"types", "ranges", "grid", "guidance", "lazy", "native", "io"} | PLUGS,
     "score": {"types", "grid", "lazy"},

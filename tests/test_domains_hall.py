@@ -73,7 +73,8 @@ def test_walls_and_stations_stay_through_frame_and_repair(tmp_path):
     plan = read_plan(save(tmp_path / "l.txt"))
     domain, rules = plan.fitted({"shelves": 9}), plan.fitted({"shelves": 9}).rules()
     fixed, rng = plan.layout >= len(HALL.generated), np.random.default_rng(0)
-    assert fixed.sum() == 36 and audit(plan.layout, plan.fitted().rules()) == []
+    fixed[2:4, 12] = True  # the way out at the right
+    assert fixed.sum() == 38 and audit(plan.layout, plan.fitted().rules()) == []
     for seed in range(3):
         area = rng.integers(0, 3, plan.layout.shape).astype(np.int8)
         framed = np.asarray(domain.frame(area))
@@ -193,3 +194,12 @@ def test_demand_of_shelves_is_a_word_that_fits_every_size(tmp_path):
     plan = with_tasks(qdenv.read_plan(path), {"demand": "shelves"})
     assert plan.domain.config.demand == ("shelves",)
     assert plan.fitted().resized(8, 10).config.demand == ("shelves",)
+
+
+def test_doors_stay_open(tmp_path):
+    path = tmp_path / "hall.txt"
+    path.write_text("###..###\n#w.ee..#\n...@@...\n#......#\n#......#\n###e####\n")
+    keep = qdenv.read_plan(path).fitted().config.keep
+    assert keep == ("###..###", "#w?????#", ".??????.", "#??????#", "#??????#", "###e####")
+    path.write_text("w.......\n...ee...\n...@@...\n#......#\n")  # an open side is no door
+    assert qdenv.read_plan(path).fitted().config.keep[0] == "w" + "?" * 7

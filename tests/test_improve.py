@@ -61,7 +61,7 @@ def test_a_better_floor_is_found_and_written_as_the_plan_came(done, plan):
 
 
 def test_rules_of_a_hall_that_is_built_hold_in_racks_in_rows(plan, tmp_path, monkeypatch):
-    monkeypatch.setattr(studies, "SECTIONS", {"rows": studies.SECTIONS["rows"]})
+    monkeypatch.setattr(studies, "SECTIONS", {"rows": ("racks in rows", 0.3)})
     folder = tmp_path / "wide"
     qdenv.improve(plan, path=folder, evaluations=64, aisle=2, rack="1x3", **QUICK)
     found = RunDirectory.open(folder / "rows")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -32,6 +33,7 @@ def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure
     return Measure("environment entropy", 0, 1, 100, value)
 
 
+_DOOR = 4  # cells that a gap in an outer wall is wide at most to be a door
 # In a drawing of cells that must stay: anything may be here, and what the plan beside it holds.
 FREE, SAME = "?", "!"
 
@@ -296,8 +298,9 @@ class Domain:
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at the size of a layout (int8 [H, W]), with its exact numbers.
 
-        Cells whose tiles have no other place (`stays`) stay as this layout has them, unless the
-        settings say of this size already what must stay.
+        Cells whose tiles have no other place (`stays`) stay as this layout has them, and doors do:
+        gaps of up to four cells in a wall along the layout's edge. Unless the settings say of this
+        size already what must stay.
         """
         own = {
             name: int((layout == self.tiles.index(symbol)).sum())
@@ -306,6 +309,8 @@ class Domain:
         rows, cols = layout.shape
         fitted = self.resized(rows, cols, own | dict(numbers or {}))
         fixed = of_tiles(layout, self.stays, self.tiles)
+        if self.stays and self.simulator.tasks:
+            fixed = fixed | _doors(np.asarray(fixed) & ~self.drivable(layout))
         if fitted.config.keep or not fixed.any():
             return fitted
         kinds = np.where(fixed, layout, len(self.tiles))
@@ -351,6 +356,16 @@ def make_domain(config: Any) -> Domain:
         return base._replace(allowed=np.where((locked >= 0)[..., None], only, base.allowed))
 
     return replace(domain, rules=rules)
+
+
+def _doors(walls: np.ndarray) -> np.ndarray:
+    """Find gaps of at most `_DOOR` cells between walls (bool [H, W]) along the four edges."""
+    doors = np.zeros_like(walls)
+    for row in (0, -1):
+        for side, found in ((walls[row], doors[row]), (walls[:, row], doors[:, row])):
+            for before, after in pairwise(np.flatnonzero(side)):
+                found[before + 1 : after] = after - before <= _DOOR + 1
+    return doors
 
 
 def _racks_moved(domain: Domain) -> Measure:

@@ -1,4 +1,4 @@
-"""From one's own plan to a better one: lanes, some racks, a new floor."""
+"""From one's own plan to a better one: lanes, some racks, racks in rows, a new floor."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CHOICES = {"domain": DOMAINS, "planner": PLANNERS}
 class Improvement(NamedTuple):
     """What one section found, beside the plan."""
 
-    section: str  # lanes, racks or floor
+    section: str  # lanes, racks, rows or floor
     lanes: str  # costs of moves that are part of it; "none"
     racks_moved: int  # cells from which a rack of the plan is gone
     agents: int  # for which the next three are
@@ -58,9 +58,9 @@ def improve(
     keep: args.KeepCells = None,
     **search: Unpack[args.ImproveOptions],
 ) -> Table:
-    """Search a better plan than one's own: lanes on it, some racks moved, a new floor.
+    """Search a better plan than one's own: lanes, some racks moved, racks in rows, a new floor.
 
-    The folder gets, for each of the three that is better by its 95 % intervals at the number of
+    The folder gets, for each of the four that is better by its 95 % intervals at the number of
     robots and at a quarter more, the plan in the format it came in and a picture of before and
     after; a report on all of them; and the searches. The same command again, or `qdenv resume`,
     goes on where it was stopped.

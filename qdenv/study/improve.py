@@ -52,9 +52,14 @@ _SIMULATIONS = 1  # of a layout in an evaluation: what looks good is evaluated a
 # A rearranged layout breaks few rules: a tenth of the usual annealing mends it, in 12 ms on 30 x 40
 # cells where 400 take 30, and changes as little.
 _MENDING = RepairConfig(moves_per_cell=100)
-# Twelve numbers with noise: the full covariance is affordable, and small populations learn little.
-_ROWS = CmaEsConfig(batch=32, sigma0=1.0, strategy="full")
-_REARRANGE, _MOST_CELLS = RearrangeConfig(), 100  # of an archive
+# Generators and algorithms of the searches of floors. The full covariance of twelve numbers is
+# affordable, and chance needs a population of some size.
+_SEARCHES: dict[str, tuple[Any, Any]] = {
+    "racks": (DirectConfig(), RearrangeConfig()),
+    "rows": (RacksConfig(), CmaEsConfig(batch=32, sigma0=1.0, strategy="full")),
+    "floor": (DirectConfig(), RearrangeConfig()),
+}
+_MOST_CELLS = 100  # of an archive
 # The first of the seeds that judge. Searches draw theirs from their own keys, and costs of moves
 # are chosen with those from 1,000,000 on.
 _FRESH = 2_000_000
@@ -158,12 +163,11 @@ def floor_config(
     settings = replace(
         domain.config, fleet=config.searched, around=tuple(draw(layout, domain.tiles))
     )
-    axis, generator, algorithm = make_domain(settings).measures[0], DirectConfig(), _REARRANGE
+    axis = make_domain(settings).measures[0]
     most, cells = axis.high, _MOST_CELLS
     if section == "racks" and config.moves < axis.cells:
         most = cells = config.moves + 1
-    if section == "rows":
-        generator, algorithm = RacksConfig(), _ROWS
+    generator, algorithm = _SEARCHES[section]
     return RunConfig(
         evaluation=EvaluationConfig(settings, generator, _SIMULATIONS, alpha=0.0, repair=_MENDING),
         algorithm=algorithm,
@@ -223,10 +227,7 @@ def candidates_of(
 
     `lanes` are costs of moves that were searched for the plan, float [5, H, W].
     """
-    if section == "lanes":
-        layouts = [plan.layout]
-    else:
-        layouts = best_layouts(folder / section)
+    layouts = [plan.layout] if section == "lanes" else best_layouts(folder / section)
     found = []
     for layout in layouts:
         bare = plan._replace(layout=layout, costs=None, guidance="none")

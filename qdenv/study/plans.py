@@ -161,8 +161,8 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
     """Give a plan other settings of its domain that say what robots do at their goals.
 
     "demand" among them is "shelves", a file or zones (`io.demand`), odds of places (float [H, W]),
-    or rows of them as in the domain's settings. Raises InputError if the domain has no such setting, or a
-    value is impossible.
+    or rows of them as in the domain's settings. Raises InputError if the domain has no such
+    setting, or a value is impossible.
     """
     if not settings:
         return plan
