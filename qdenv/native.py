@@ -2,8 +2,9 @@
 
 Machine code is kept on disk between processes, in a folder of the user's cache that is named by
 the hash of the sources it can depend on: the module that declares it and all it imports of this
-package. numba itself watches only the file of the outermost function; with any of these sources
-changed, the folder is another one, so stale code cannot run.
+package. numba itself watches only the file of the outermost function, its place and age; with any
+of these sources changed, the folder is another one, so stale code cannot run, and the same sources
+elsewhere (another checkout or installation) find what was compiled.
 """
 
 import ast
@@ -22,6 +23,7 @@ from typing import Any, TypeAlias, TypeVar
 import numba
 import numpy as np
 import platformdirs
+from numba.core.caching import IndexDataCacheFile
 from numba.extending import register_jitable
 
 MAX_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
@@ -53,8 +55,11 @@ def compiled(function: Function, forceinline: bool = False) -> Function:
         made: Any = numba.njit(**options)(function)
     finally:
         numba.config.CACHE_DIR = before
-    # An inner attribute of numba: without it, a full or damaged cache is an error again.
+    # Inner attributes of numba: without them, a full or damaged cache is an error again, and code
+    # is found only by the very files that it was compiled from.
     if folder is not None and hasattr(made, "_cache"):
+        name = f"{function.__module__}.{function.__qualname__}-{function.__code__.co_firstlineno}"
+        made._cache._cache_file = IndexDataCacheFile(str(folder), name, source_stamp=None)
         made._cache = _Forgiving(made._cache, folder)
     return made
 

@@ -68,8 +68,11 @@ def test_an_edit_in_another_file_is_seen_by_the_next_process(package: Path, tmp_
     assert run(package, cache) == [43, 0]
     (package / "inner.py").write_text(INNER.format(2))
     assert run(package, cache) == [42, 1]
-    (package / "stranger.py").write_text("not imported = by any of them")
-    assert run(package, cache) == [42, 1]
+    elsewhere = shutil.copytree(
+        package, tmp_path / "elsewhere" / "qdenv", copy_function=shutil.copy
+    )
+    (elsewhere / "stranger.py").write_text("not imported = by any of them")
+    assert run(elsewhere, cache) == [42, 1]
     assert len(list((cache / "qdenv").iterdir())) == 2
 
 
