@@ -5,22 +5,19 @@ import subprocess
 import sys
 
 import pytest
+from robustness.sandbox import BECOME_ORDINARY, start
 from small_warehouse import ROWS
 
 from qdenv.cli import main as cli
 
-# Become a user to whom permissions apply, which root is not: without its capabilities to look into
-# every folder, 1 and 2 of capabilities(7), whose bound prctl lowers by its command 24.
-ORDINARY = "import ctypes; [ctypes.CDLL(None).prctl(24, one, 0, 0, 0) for one in (1, 2)]"
 CLOSED = "os.close({})"
-RUN = "os.execv(sys.executable, [sys.executable, '-m', 'qdenv', *sys.argv[1:]])"
 
 
-def call(line, folder, prepare=ORDINARY, **streams):
+def call(line, folder, prepare=BECOME_ORDINARY, **streams):
     """Run a command line in a process of its own, which something is done to before it begins."""
-    command = [sys.executable, "-c", f"import os, sys; {prepare}; {RUN}", *line.split()]
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | streams
-    return subprocess.run(command, cwd=folder, text=True, **streams)
+    process = start(["-m", "qdenv", *line.split()], folder, prepare, **streams)
+    _, stderr = process.communicate()
+    return subprocess.CompletedProcess(line, process.returncode, None, stderr)
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """The campaign's bad inputs are bad and repeatable, and its sandbox finds every broken promise."""
 
+import html
 import io
 import json
 import zipfile
@@ -8,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from robustness import corrupt, inputs
-from robustness.sandbox import Ending, Sandbox, fault_in
+from robustness import corrupt, edges, inputs
+from robustness.sandbox import Ending, Sandbox, fault_in, start
 
 from qdenv import InputError
 from qdenv.agent.convert import read_checkpoint
@@ -58,6 +59,32 @@ def test_the_sandbox_finds_planted_faults_and_goes_on_after_each(tmp_path, monke
         fault = sandbox.fault_of([word], tmp_path)
         assert fault is not None and message in fault and "\n" not in fault
     sandbox.close()
+
+
+@pytest.mark.parametrize(
+    ("attack", "program"),
+    [
+        (edges.run_together, "open('same', 'w').write('x'); print('same')"),
+        (edges.run_together, "open(str(os.getpid()), 'w'); print(os.getpid())"),
+        (edges.fill, "open('plan.json', 'w')"),
+        (edges.fill, "open('.qdenv-tmp-left', 'w')"),
+        (edges.redirect, "raise OSError"),
+        (edges.spoil_cache, "print(41)"),
+    ],
+)
+def test_planted_faults_at_the_edges_are_found(attack, program, tmp_path, monkeypatch):
+    monkeypatch.setattr(edges, "run_files", lambda: {})
+
+    def planted(argv, folder, prepare="0", **streams):
+        return start(["-c", f"import os; {program}"], folder, "0", **streams)
+
+    monkeypatch.setattr(edges, "start", planted)
+    assert attack(np.random.default_rng(3), tmp_path)
+
+
+def test_a_script_in_a_name_is_found_where_it_would_run():
+    assert edges.runs_script(f"<script>{edges.SCRIPT}") and edges.runs_script(f"<p>{edges.SCRIPT}")
+    assert not edges.runs_script(f"<p>{html.escape(edges.SCRIPT)}")
 
 
 @pytest.mark.parametrize(

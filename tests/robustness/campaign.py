@@ -37,6 +37,7 @@ class Attack(NamedTuple):
 # Module -> names of its attacks.
 MODULES = {
     "inputs": ("FILES", "COMMANDS"),
+    "edges": ("EDGES",),
     "interruptions": ("OPERATIONS", "SIGNALS"),
     "repairs": ("REPAIRS",),
     "halls": ("HALLS",),

@@ -1,6 +1,8 @@
 """Attack on the simulator: fleets of every kind on random layouts, each run recorded and audited.
 
-A program is compiled for a size and settings, so both come from a short list.
+Some are guided by costs of moves, some of which are one way. The goals that were drawn are compared
+with their odds: of all attempts together, chi-square is about its degrees of freedom. A program is
+compiled for a size and settings, so both come from a short list.
 """
 
 import functools
@@ -11,8 +13,11 @@ from typing import Any
 
 import jax
 import numpy as np
+from scipy import stats
 
 import qdenv
+from qdenv.grid import NUM_MOVES
+from qdenv.guidance import fixed_costs
 from qdenv.repair.recipe import repair_layout
 from qdenv.repair.settings import RepairConfig
 from qdenv.simulate.mapf.audit import audit
@@ -20,7 +25,7 @@ from qdenv.simulate.mapf.goals import check_playable
 from qdenv.simulate.mapf.metrics import Recording
 from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
 from qdenv.study.engine import run_seeds
-from qdenv.types import RepairStatus, TaskRule, Traffic
+from qdenv.types import Floor, RepairStatus, TaskRule, Traffic
 from robustness.campaign import Attack, Attempt
 
 TILES, SHAPE = ".#ew", (12, 13)  # of layouts with random walls
@@ -29,6 +34,8 @@ DOMAINS, DOMAIN_SHAPE = ("warehouse-even", "warehouse-uneven", "manufacturing"),
 RULES = (*STAYS, *DOMAINS)
 AGENTS, TIMESTEPS, RUNS = 60, 303, 4
 DENSITY = (0.02, 0.75)  # share of the free cells with an agent
+ONE_WAY = {"equal": 0.0, "guided": 0.0, "one-way": 0.2}  # costs -> share of moves not allowed
+IMPROBABLE = 1e-9  # of the goals of an attempt, by their odds
 XLA_SHARE = 0.25  # of the attempts that run in XLA as well
 
 
@@ -38,6 +45,7 @@ PLANNERS: dict[str, Planning] = {
     "high": (HIGH, 10, 5),
     "low, short": (LOW, 6, 4),
     "pibt": (qdenv.PibtConfig(), 10, 5),
+    "pibt, swap": (qdenv.PibtConfig(swap=True), 10, 5),
     "plain": (qdenv.PbsConfig("plain", 0.5), 10, 5),
     "published": (qdenv.PbsConfig("published", 0.5), 10, 5),
     "published, long": (qdenv.PbsConfig("published", 0.5), 20, 7),
@@ -79,20 +87,38 @@ def draw_layout(rng: np.random.Generator, rule: str) -> np.ndarray:
         return layout
 
 
+def draw_costs(rng: np.random.Generator, layout: np.ndarray, tasks: TaskRule) -> tuple[str, Floor]:
+    """Draw no costs of moves, or some by which all cells still reach all others."""
+    kind = str(rng.choice(list(ONE_WAY), p=[0.5, 0.25, 0.25]))
+    if kind == "equal":
+        return kind, Floor(layout)
+    one_way, free = ONE_WAY[kind], np.isin(layout, [*map(tasks.tiles.index, tasks.traversable)])
+    while True:
+        costs = rng.uniform(0.3, 3, (NUM_MOVES, *layout.shape))
+        costs[1:][rng.random(costs[1:].shape) < one_way] = np.inf
+        try:
+            return kind, Floor(layout, fixed_costs(costs, free))
+        except qdenv.InputError:
+            one_way /= 2
+
+
 def attempt(rng: np.random.Generator, folder: Path) -> Attempt:
-    """Simulate fleets of one planner on one layout and audit every step."""
+    """Simulate fleets of one planner on one floor and audit every step."""
     rule = str(rng.choice(RULES))
     layout, name = draw_layout(rng, rule), str(rng.choice(list(PLANNERS)))
     tasks, planning = tasks_of(rule), PLANNERS[name]
+    kind, floor = draw_costs(rng, layout, tasks)
     free = int(np.isin(layout, [tasks.tiles.index(tile) for tile in tasks.traversable]).sum())
-    agents = int(np.clip(round(rng.uniform(*DENSITY) * free), 1, AGENTS))
+    least, most = DENSITY
+    agents = int(np.clip(round((least + (most - least) * rng.random() ** 2) * free), 1, AGENTS))
     seeds = [int(seed) for seed in rng.integers(1 << 30, size=RUNS)]
     # Compiling in XLA takes long, so only one rule runs there.
     in_xla = hasattr(planning[0], "backend") and rule == "services"
     in_xla = in_xla and rng.random() < XLA_SHARE
-    faults, steps, contents = [], 0, []
+    faults, steps, contents, flowing = [], 0, [], 0
     for backend in ("host", "xla")[: 1 + in_xla]:
-        runs = simulate(layout, tasks, planning, backend, agents, seeds)
+        runs, draws = simulate(floor, tasks, planning, backend, agents, seeds)
+        flowing += sum(int(run.end_timestep) * agents for run, _, _ in runs if not run.congested)
         steps += sum(int(run.end_timestep) * agents for run, _, _ in runs)
         contents.append([content for _, _, content in runs])
         about = f"{rule}, {name} ({backend}), {agents} agents"
@@ -101,37 +127,88 @@ def attempt(rng: np.random.Generator, folder: Path) -> Attempt:
     for seed, *pair in zip(seeds, *contents, strict=True):
         if len(set(pair)) > 1:
             faults.append(f"{rule}, {name}, {agents} agents, seed {seed}: XLA differs")
+    chi_square, freedom = compare_odds(layout, tasks, draws)
+    if stats.chi2.sf(chi_square, freedom) < IMPROBABLE:
+        faults.append(f"{rule}, {name}: goals with chi-square {chi_square:.0f} of {freedom}")
     notes = {"runs": RUNS * len(contents), "runs in both backends": RUNS * in_xla, name: RUNS}
+    notes |= {f"steps in {rule} without jams": flowing, f"steps with {kind} costs": steps}
+    if freedom:
+        notes |= {"goals": sum(len(cells) for cells in draws)}
+        notes |= {"chi-square": round(chi_square), "degrees of freedom": freedom}
     return Attempt(steps, faults, notes)
 
 
+def compare_odds(layout: np.ndarray, tasks: TaskRule, draws: list[np.ndarray]) -> tuple[float, int]:
+    """Return chi-square of the goals drawn (cells, for each kind) and its degrees of freedom."""
+    total, freedom = 0.0, 0
+    for goal, cells in zip(tasks.cycle, draws, strict=True):
+        odds = np.asarray(goal.weight(layout), float).reshape(-1)
+        places = np.flatnonzero(odds)
+        expected = len(cells) * odds[places] / odds.sum()
+        if expected.min() < 5:  # too few for chi-square to be of its distribution
+            continue
+        counts = np.bincount(cells, minlength=layout.size)[places]
+        total += float(((counts - expected) ** 2 / expected).sum())
+        freedom += len(places) - 1
+    return total, freedom
+
+
+def forbidden(floor: Floor, positions: np.ndarray) -> list[str]:
+    """Return the first move against a one-way lane (positions int [t + 1, A])."""
+    if floor.costs is None:
+        return []
+    width = floor.layout.shape[1]
+    costs = floor.costs.reshape(NUM_MOVES, -1)
+    for number, step in enumerate((0, 1, -1, width, -width)):
+        moved = positions[1:] - positions[:-1] == step
+        for time, agent in np.argwhere(moved & (costs[number][positions[:-1]] == 0))[:1]:
+            return [f"t={time + 1}: agent {agent} makes a move that is not allowed"]
+    return []
+
+
 def simulate(
-    layout: np.ndarray,
+    floor: Floor,
     tasks: TaskRule,
     planning: Planning,
     backend: str,
     agents: int,
     seeds: list[int],
-) -> list[tuple[Traffic, list[str], str]]:
-    """Simulate once per seed: what was counted, the broken rules, a hash of the recording."""
+) -> tuple[list[tuple[Traffic, list[str], str]], list[np.ndarray]]:
+    """Simulate once per seed: what was counted, the broken rules, a hash of the recording.
+
+    Returns the cells of all goals that were drawn, for each kind, as well.
+    """
     planner, window, horizon = planning
     if hasattr(planner, "backend"):
         planner = replace(planner, backend=backend)
     config = qdenv.FleetConfig(AGENTS, TIMESTEPS, window, horizon, planner, False)
 
+    draws: list[list[np.ndarray]] = [[] for _ in tasks.cycle]
+
     def read(seed: int, run: Traffic, recording: Recording) -> tuple[Traffic, list[str], str]:
-        broken = audit(layout, tasks, recording, run, horizon)
+        end = int(run.end_timestep)
+        positions, goals, finished = (
+            np.asarray(part)[: end + 1, np.asarray(recording.active)]
+            for part in (recording.positions, recording.goals, recording.finished)
+        )
+        broken = audit(floor.layout, tasks, recording, run, horizon)
+        broken += forbidden(floor, positions)
+        drawn = np.concatenate([np.ones_like(finished[:1]), finished[:end]])
+        kinds = np.cumsum(drawn, axis=0) - 1
+        for kind, cells in enumerate(draws):
+            cells.append(goals[drawn & (kinds % len(draws) == kind)])
         content = hashlib.blake2b(digest_size=16)
         for leaf in jax.tree.leaves((run, recording)):
             content.update(np.ascontiguousarray(leaf).tobytes())
         return run, broken, content.hexdigest()
 
-    return run_seeds(layout, tasks, config, seeds, agents, read=read, threads=1).readings
+    readings = run_seeds(floor, tasks, config, seeds, agents, read=read, threads=1).readings
+    return readings, [np.concatenate(cells) for cells in draws]
 
 
 AUDITS = Attack(
     "audits",
-    "no run breaks a rule of movement or service; both backends agree bit for bit",
+    "no run breaks a rule of movement or service; goals have their odds; both backends agree",
     "agent-steps",
     attempt,
 )

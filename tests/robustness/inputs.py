@@ -32,6 +32,7 @@ WAREHOUSE = [
     "...........",
 ]
 MAZE = ["      ", " XXXX ", "    X ", " XX X ", "  X   ", "X   X "]
+PATHS = b"timestep,robot,row,column\n0,0,0,0\n1,0,0,1\n0,1,5,5\n1,1,5,5\n"
 SEARCH = (  # a search of seconds, whose run commands read
     "train maze-quick --evaluations 8 --simulations 1 --timesteps 20 --rows 6 --cols 6 --steps 3 "
     "--hidden 4 --emitters 1 --batch 4 --archive 0 36 4 0 36 4 --out run"
@@ -45,6 +46,7 @@ SHORT = "--agents 2 --timesteps 5"
 LINES: Mapping[str, str] = {
     "check": "check PLAN",
     "render": "render PLAN",
+    "convert": "convert PLAN plan.csv",
     "simulate": f"simulate PLAN {SHORT} --seeds 1 --no-verdict",
     "replay": f"replay PLAN {SHORT}",
     "repair": "repair PLAN",
@@ -66,12 +68,15 @@ LINES: Mapping[str, str] = {
     "evaluate-agent": "evaluate-agent MAZE --runs 1",
     "convert-agent": "convert-agent MAZE",
     "completion": "completion bash",
+    "audit-run": "audit-run PATHS --layout PLAN",
     # Refused at the end of all checks, as the folder holds a run already.
     "train": "train maze-quick --out RUN",
     "train-agent": "train-agent --out AGENT",
+    "guide": "guide PLAN --out RUN",
+    "improve": "improve PLAN --out RUN",
 }
-TRAINING = ("train", "train-agent")
-# Options that are not drawn: in another folder these two would train for hours, and the picture of
+TRAINING = ("train", "train-agent", "guide", "improve")
+# Options that are not drawn: in another folder these would train for hours, and the picture of
 # the zoo takes longer than a bad input may.
 EXCLUDED = dict.fromkeys(TRAINING, ("--out", "--run-dir")) | {"zoo": ("--plot",)}
 EXTREMES = (
@@ -163,6 +168,13 @@ def corrupt_layout(rng: Rng, folder: Path) -> Input:
     return Input("layouts", line(command, PLAN=f"plan{ending}"), name)
 
 
+def corrupt_paths(rng: Rng, folder: Path) -> Input:
+    """Corrupt a file of where robots were."""
+    plan = layout_file(WAREHOUSE, ".json")
+    write(folder, {"paths.csv": corrupt(rng, "paths.csv", PATHS), "plan.json": plan})
+    return Input("paths", line("audit-run", PATHS="paths.csv", PLAN="plan.json"), "paths.csv")
+
+
 def corrupt_run(rng: Rng, folder: Path) -> Input:
     """Corrupt one file of a run."""
     files = dict(run_files())
@@ -205,6 +217,7 @@ def hostile_pickle(rng: Rng, folder: Path) -> Input:
 def bad_file(rng: Rng, folder: Path) -> Input:
     """Draw a bad file of any kind; those that cost seconds are the fewest."""
     kinds = [corrupt_layout] * 8 + [hostile_pickle] * 8 + [corrupt_run] * 6
+    kinds += [corrupt_paths] * 2
     kinds += [corrupt_agent] * 3 + [corrupt_checkpoints, corrupt_training]
     draw: Callable[[Rng, Path], Input] = pick(rng, kinds)
     return draw(rng, folder)
@@ -223,11 +236,12 @@ def options_of(command: str) -> tuple[str, ...]:
 def bad_line(rng: Rng, folder: Path) -> Input:
     """Draw options with extreme values for a command that would do next to nothing."""
     plan, maze = layout_file(WAREHOUSE, ".json"), layout_file(MAZE, ".txt")
-    write(folder, {"plan.json": plan, "maze.txt": maze})
+    write(folder, {"plan.json": plan, "maze.txt": maze, "paths.csv": PATHS})
     write(folder / "run", run_files())
     write(folder / "agent", {"checkpoint.npz": b"", "config.json": b"{}"})
     command = pick(rng, tuple(LINES))
     files = {"PLAN": "plan.json", "MAZE": "maze.txt", "RUN": "run", "AGENT": "agent"}
+    files["PATHS"] = "paths.csv"
     excluded = EXCLUDED.get(command, ())
     options = tuple(option for option in options_of(command) if option not in excluded)
     if command not in TRAINING and rng.random() < 0.2:
