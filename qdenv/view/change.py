@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from qdenv.guidance import preferences
 from qdenv.types import Array, InputError
 from qdenv.view.guidance import STRONGEST, draw_arrows
 from qdenv.view.layouts import CHANGED, draw_layout, number_cells, side_of
-from qdenv.view.style import SCREEN_DPI, new_figure, styled
+from qdenv.view.style import GREY, MARKERS, PALETTE, SCREEN_DPI, add_legend, new_figure, styled
 from qdenv.view.traffic import draw_map, top_of
 
 if TYPE_CHECKING:
@@ -71,6 +72,40 @@ def draw_change(
         for axes, plan, usage in zip(panels[1], (before, after), usages, strict=True):
             free, label = plan.domain.drivable(plan.layout), "share of time in which one is here"
             draw_map(axes, free, np.asarray(usage), "usage", label, "where robots are", top)
+    return figure
+
+
+@styled
+def draw_racks_moved(
+    found: Mapping[str, tuple[Array, Array]], agents: int, plan: float, width: float = 6.0
+) -> Figure:
+    """Draw what moving racks brings: tasks per timestep over the number of racks moved.
+
+    Args:
+        found: layouts of searches by the searches' names: racks moved int [N], and tasks per
+            timestep float [N].
+        agents: number of robots that the searches simulated.
+        plan: tasks per timestep of the plan itself.
+        width: inches.
+
+    Returns:
+        a figure with a point for each layout.
+    """
+    figure = new_figure(width, 0.5 * width)
+    axes = figure.subplots()
+    for (name, (moved, throughput)), colour, marker in zip(
+        found.items(), PALETTE, MARKERS, strict=False
+    ):
+        axes.plot(moved, throughput, marker, color=colour, label=name, alpha=0.7, mew=0)
+    axes.axhline(plan, color=GREY, ls="--", lw=1)
+    axes.annotate("the plan", (0, plan), (2, -3), textcoords="offset points", va="top", color=GREY)
+    axes.set(
+        xlabel="racks moved",
+        ylabel="tasks per timestep",
+        title=f"what moving racks brings, {agents} robots in the searches' short runs",
+    )
+    axes.grid()
+    add_legend(figure, *axes.get_legend_handles_labels())
     return figure
 
 
