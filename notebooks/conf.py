@@ -7,6 +7,7 @@ Python API and the commands are written here, from the operations themselves.
 import contextlib
 import importlib.metadata
 import io
+import logging
 import os
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,14 @@ suppress_warnings = ["myst.xref_missing"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_google_docstring = True
+
+
+PACKED = '<script type="application/gzip" id="packed-plotly">'
+SHARED = """const library = document.createElement("script");
+library.type = "application/gzip"; library.id = "packed-plotly";
+library.textContent = "{}";
+document.head.append(library);
+"""
 
 
 def write_python() -> str:
@@ -83,6 +92,28 @@ def write_reference(app: Any) -> None:
             path.write_text(text)
 
 
+def write_live(app: Any, exception: Exception | None) -> None:
+    """Write an explorer of each archive of the zoo, and a replay of its best layout."""
+    import qdenv
+    from qdenv.shipped import names
+
+    logging.getLogger("qdenv").setLevel("WARNING")  # of what is found, only pages are of interest
+    folder = Path(app.outdir) / "live"
+    folder.mkdir(exist_ok=True)
+    for domain in names():
+        best = qdenv.RunDirectory.open(f"zoo:{domain}/best")
+        page = qdenv.explore(f"zoo:{domain}", growth=0).html
+        # The library that draws is most of a page: here a script puts it there, which all share.
+        begin, _, rest = page.partition(PACKED)
+        library, _, rest = rest.partition("</script>")
+        (folder / "library.js").write_text(SHARED.format(library.strip()))
+        page = f'{begin}<script src="library.js"></script>{rest}'
+        (folder / f"{domain}-archive.html").write_text(page)
+        layout = qdenv.Layout(best.best.layout, qdenv.make_domain(best.config.evaluation.domain))
+        qdenv.replay(layout, timesteps=200).save(folder / f"{domain}-best.html")
+
+
 def setup(app: Any) -> None:
-    """Write the reference before the pages are read."""
+    """Write the reference before the pages are read, and the live pages at the end."""
     app.connect("builder-inited", write_reference)
+    app.connect("build-finished", write_live)

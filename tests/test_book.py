@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from browser import opened
 
 import qdenv
 from qdenv.cli import main as cli
@@ -93,5 +94,10 @@ def test_the_book_builds_without_warnings_and_has_all_names(tmp_path):
     assert done.returncode == 0, done.stderr
     python = (tmp_path / "reference" / "python.html").read_text()
     assert [name for name in qdenv.__all__ if name not in python] == []
+    live = re.findall('(?:href|src)="(live/.*?)"', (tmp_path / "live.html").read_text())
+    assert len(set(live)) == 10 and all((tmp_path / page).exists() for page in live)
+    assert sum(path.stat().st_size for path in (tmp_path / "live").iterdir()) < 3_000_000
+    with opened(tmp_path / "live" / "warehouse-even-archive.html") as page:
+        page.wait_for_selector("body[data-ready] #map .main-svg")
     commands = (tmp_path / "reference" / "commands.html").read_text()
     assert [name for name in COMMANDS if f"usage: qdenv {name} " not in commands] == []
