@@ -78,6 +78,7 @@ from .types import Measure as Measure
 from .types import Rules as Rules
 from .types import Score as Score
 from .types import TaskRule as TaskRule
+from .types import Tile as Tile
 from .types import Traffic as Traffic
 
 __version__: str

@@ -289,7 +289,7 @@ def test_parquet_is_written_or_says_what_it_needs(run, tmp_path, capsys):
     except ImportError:
         assert code == 2 and not out.exists()
         said = capsys.readouterr().err
-        assert "pip install 'qdenv[data]'" in said and said.count("\n") == 1
+        assert 'pip install "qdenv[data]"' in said and said.count("\n") == 1
     else:
         assert code == 0
         assert pyarrow.parquet.read_table(out).num_rows == len(run.archive)

@@ -42,8 +42,9 @@ def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
     assert facts["tasks_per_hour"] == pytest.approx(7200 * facts["mean_of_all"], rel=1e-5)
     assert f"{facts['tasks_per_hour']:,.0f} tasks per hour" in said
     worst = [line.split()[:3] for line in said.splitlines() if "% of time" in line]
-    spots = [[str(spot["row"]), str(spot["column"])] for spot in facts["worst_cells"]]
-    assert [line[1:] for line in worst] == spots and len(spots) == 10
+    spots = [one for one in facts["worst_cells"] if one["waiting"] >= 0.005]  # 1%, rounded
+    assert len(facts["worst_cells"]) == 10 and spots
+    assert [line[1:] for line in worst] == [[str(one["row"]), str(one["column"])] for one in spots]
     assert facts["settings"]["seeds"] == [0, 1, 2] and facts["command"] == "simulate"
     assert imread("lane_traffic.png").shape[2] == 4
     assert said.splitlines()[-2:] == ["lane_traffic.png", "f.json"]

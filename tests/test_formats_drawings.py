@@ -141,6 +141,6 @@ def test_a_drawing_of_cad_is_read_by_the_layers_named_beside_it(drawn, capsys):
 def test_without_the_library_a_line_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setattr("qdenv.io.formats.find_spec", lambda name: None)
     for ending in (".xlsx", ".dxf"):
-        with pytest.raises(InputError, match=r"pip install 'qdenv\[formats\]'"):
+        with pytest.raises(InputError, match=r'pip install "qdenv\[formats\]"'):
             write_drawing(tmp_path / f"a{ending}", Drawing(["."]), EVEN.meanings)
     assert EVEN.tiles == TILES

@@ -323,8 +323,8 @@ def test_a_missing_package_is_named_before_anything_runs(tmp_path, monkeypatch, 
     (tmp_path / "plan.txt").write_text("\n".join(ROWS))
     find = util.find_spec
     for gone, line, said in (
-        ("imageio_ffmpeg", "--mp4", "films need imageio-ffmpeg: pip install 'qdenv[viz]'"),
-        ("jinja2", "--gif", "pages need jinja2: pip install 'qdenv[viz]'"),
+        ("imageio_ffmpeg", "--mp4", 'films need imageio-ffmpeg: pip install "qdenv[viz]"'),
+        ("jinja2", "--gif", 'pages need jinja2: pip install "qdenv[viz]"'),
     ):
         monkeypatch.setattr(
             util, "find_spec", lambda name, gone=gone: None if name == gone else find(name)

@@ -147,7 +147,7 @@ def need_library(ending: str) -> None:
     """Raise InputError, which says what to install, if a format with this ending needs it."""
     library = LIBRARIES.get(ending)
     if library and not find_spec(library):
-        raise InputError(f"{ending} files need {library}: pip install 'qdenv[formats]'")
+        raise InputError(f'{ending} files need {library}: pip install "qdenv[formats]"')
 
 
 def find_writer(path: Path, form: str | None = None) -> str:

@@ -148,11 +148,12 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
     half = facts["cells_with_half_of_waiting"]
     where = f", half of it on {half} of {free} free cells" if half else ""
     lines.append(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")
-    if not facts["worst_cells"]:
-        return lines
+    spots = [one for one in facts["worst_cells"] if one["waiting"] >= 0.005]
+    if not spots:
+        return [*lines, "no jam: on no cell an agent waits 1% of the time"]
     names = [plan.domain.names.get(tile, repr(tile)) for tile in plan.domain.tiles]
     table = [("rank", "row", "column", "tile", "of all waiting", "an agent waits", "per visit")]
-    for rank, spot in enumerate(facts["worst_cells"], 1):
+    for rank, spot in enumerate(spots, 1):
         share, waiting = f"{spot['share']:.2%}", f"{spot['waiting']:.0%} of time"
         cell = (str(rank), str(spot["row"]), str(spot["column"]), names[spot["tile"]])
         table.append((*cell, share, waiting, f"{spot['wait_per_visit']:3.1f} steps"))

@@ -246,7 +246,7 @@ class SavedArchive:
         try:
             import pandas
         except ImportError as error:
-            raise InputError("tables need pandas: pip install 'qdenv[data]'") from error
+            raise InputError('tables need pandas: pip install "qdenv[data]"') from error
         return pandas.DataFrame(self.table(solutions))
 
     def write_table(self, path: Path, solutions: bool = False) -> None:
@@ -262,7 +262,7 @@ class SavedArchive:
             self.to_pandas(solutions).to_parquet(content, index=False)
         except ImportError as error:
             raise InputError(
-                f"{path}: Parquet needs pandas and pyarrow: pip install 'qdenv[data]', or write a "
+                f'{path}: Parquet needs pandas and pyarrow: pip install "qdenv[data]", or write a '
                 ".csv"
             ) from error
         write_atomically(path, content.getvalue())
@@ -283,7 +283,7 @@ class SavedArchive:
         try:
             from ribs.archives import GridArchive
         except ImportError as error:
-            raise InputError("this needs pyribs: pip install 'qdenv[pyribs]'") from error
+            raise InputError('this needs pyribs: pip install "qdenv[pyribs]"') from error
         extras = {
             name: values
             for name, values in self.columns.items()

@@ -73,7 +73,7 @@ class Execution(Ranged):
             import cryptography  # noqa: F401 (by which a cluster here knows its own)
             import distributed  # noqa: F401
         except ImportError as error:
-            raise InputError("--executor dask needs dask: pip install 'qdenv[dask]'") from error
+            raise InputError('--executor dask needs dask: pip install "qdenv[dask]"') from error
 
     @contextlib.contextmanager
     def connect(self) -> Iterator[distributed.Client]:

@@ -131,4 +131,4 @@ def pack(content: np.ndarray | bytes | str) -> str:
 def require_package(what: str, package: str) -> None:
     """Raise InputError if a package of the extra `viz`, which `what` ("pages") need, is missing."""
     if util.find_spec(package.replace("-", "_")) is None:
-        raise InputError(f"{what} need {package}: pip install 'qdenv[viz]'")
+        raise InputError(f'{what} need {package}: pip install "qdenv[viz]"')
