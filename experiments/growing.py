@@ -133,8 +133,10 @@ class Workshop:
             for axis in self.at(shape).measures
             if axis.value is not None and axis.limit != "timesteps"  # that needs simulations
         }
+        exact = getattr(self.config.evaluation.generator, "arithmetic", "") == "exact"
         steps, numbers, repair, changed = sized[1:5]
-        return GrownLayout(*shape, steps, numbers, repair, changed, measures, tuple(driven))
+        found = GrownLayout(*shape, steps, numbers, repair, changed, measures, tuple(driven))
+        return replace(found, drawing=sized.drawing if exact else "")
 
     def drive(
         self, cell: Cell, layout: np.ndarray, plan: tuple[str, str], timesteps: int

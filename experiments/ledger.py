@@ -1,7 +1,6 @@
 """Runs written down: a CSV file with a row per run; what it holds is not simulated again."""
 
 import time
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
@@ -12,6 +11,7 @@ import numpy as np
 
 from experiments.pieces import say
 from qdenv.domains.base import Domain
+from qdenv.grid import checksum
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
 from qdenv.run.executors import ClusterExecutor
@@ -49,9 +49,8 @@ class Case(NamedTuple):
 
     def key(self, seed: int) -> _Key:
         """Return the fields of `Run` that tell the run of a seed from all others."""
-        drawn = f"{zlib.crc32(self.tiles.astype(np.int8).tobytes()):08x}"
         numbers = (self.agents, self.timesteps, self.planner, self.stop)
-        return (self.layout, self.domain.name, *numbers, drawn, seed)
+        return (self.layout, self.domain.name, *numbers, checksum(self.tiles), seed)
 
     @property
     def fleet(self) -> FleetConfig:

@@ -80,8 +80,9 @@ class NcaConfig(Ranged):
     steps: PositiveInt = 50  # how often the drawing grows, the NCA steps C
     kernel_sizes: tuple[int, ...] = (3, 3, 3)  # widths of the kernels of its convolutions, in cells
     hidden: PositiveInt = 32  # channels of its hidden layers
-    # "exact" draws the same plan on every machine and version: its sums never round (`nca`)
-    arithmetic: Literal["float", "exact"] = "float"
+    # "exact" draws the same plan on every machine and version: its sums never round (`nca`);
+    # "float" is the paper's, and that of runs saved before there was a choice
+    arithmetic: Literal["exact", "float"] = "exact"
 
     def __post_init__(self) -> None:
         """Refuse kernels that are even: without a centre cell the drawing would drift."""

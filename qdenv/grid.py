@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import operator
 import re
+import zlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,6 +23,11 @@ MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, 
 WAIT, RIGHT, LEFT, DOWN, UP = range(1 + len(MOVES))
 NUM_MOVES = 1 + len(MOVES)
 _RECTANGLE = re.compile(r"(\d*):(\d*),(\d*):(\d*)")
+
+
+def checksum(layout: np.ndarray) -> str:
+    """Return eight digits that tell a layout (int [H, W]) from others of its size."""
+    return f"{zlib.crc32(np.asarray(layout, np.int8).tobytes()):08x}"
 
 
 def move_steps(width: int) -> np.ndarray:

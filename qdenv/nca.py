@@ -34,28 +34,43 @@ from qdenv.types import Array, InputError
 # The numbers of an exact automaton are multiples of these fractions, so small that no sum has more
 # than 24 bits: float32 adds such numbers without rounding, in any order. In other automata the last
 # bit, which depends on the order, is amplified by the iteration until other tiles are drawn.
-_WEIGHT, _HIDDEN, _OUTPUT = 512, 64, 1024
-_MAX_WEIGHT, _MAX_HIDDEN = 2, 8  # weights, and what a hidden layer gives, are smaller
+_WEIGHT, _HIDDEN, _OUTPUT = 512, 32, 1024
+_MAX_WEIGHT, _MAX_HIDDEN = 2, 16  # weights, and what a hidden layer gives, are smaller
 # Largest sums of absolute weights into a channel, of the first layer and of the others:
-# (30 * 1 + 2) * 512 * 1024 = (63 * 8 + 8) * 512 * 64 = 2^24.
+# (30 * 1 + 2) * 512 * 1024 = (63 * 16 + 16) * 512 * 32 = 2^24.
 _MAX_SUMS = (30, 63)
-_STEPS = np.arange(-8 * _HIDDEN, 8 * _HIDDEN) / _HIDDEN
+_LOGIT = 128  # of what the sigmoid is taken of, which is looked up
+# How often a layer's weights may be halved until they are that small. A rectified layer of half the
+# weights gives half the numbers, so that the last one's sums, doubled as often, are the same again.
+_HALVINGS = 8
+_STEPS = np.arange(-8 * _LOGIT, 8 * _LOGIT) / _LOGIT
 _SIGMOID = (np.round(_OUTPUT / (1 + np.exp(-_STEPS))) / _OUTPUT).astype(np.float32)
 
 
-def round_weights(variables: Any) -> Any:
-    """Round the weights of an automaton to those of an exact one; channels with many shrink."""
-    layers = {}
+def round_weights(variables: Any) -> tuple[Any, jax.Array]:
+    """Round the weights of an automaton to those of an exact one, halved until sums are exact.
+
+    Returns them, and by how much the sums of its last layer are multiplied: a power of two.
+    """
+    layers, scale = {}, jnp.float32(1)
+    limit = _MAX_WEIGHT * _WEIGHT - 1
     for number, (name, layer) in enumerate(sorted(variables["params"].items())):
-        limit = _MAX_WEIGHT * _WEIGHT - 1
-        bias, kernel = (
-            jnp.clip(jnp.round(layer[part] * _WEIGHT), -limit, limit) for part in ("bias", "kernel")
-        )
+        factors = _WEIGHT * 0.5 ** np.arange(_HALVINGS, dtype=np.float32)
+        halved = layer["kernel"][None] * factors[:, None, None, None, None]
+        rounded = jnp.abs(jnp.round(halved))
+        # Of whole numbers: which sums fit does not depend on the order of adding either.
         most = _MAX_SUMS[min(number, 1)] * _WEIGHT
+        fits = (rounded.sum((1, 2, 3)).max(-1) <= most) & (rounded.max((1, 2, 3, 4)) <= limit)
+        halvings = jnp.where(fits.any(), fits.argmax(), _HALVINGS - 1)
+        kernel = jnp.clip(jnp.round(halved[halvings]), -limit, limit)
         sums = jnp.maximum(jnp.abs(kernel).sum((0, 1, 2), keepdims=True), 1)
-        kernel = jnp.trunc(kernel * jnp.minimum(1, most / sums))
-        layers[name] = {"bias": bias / _WEIGHT, "kernel": kernel / _WEIGHT}
-    return {"params": layers}
+        kernel = jnp.trunc(kernel * jnp.minimum(1, most / sums))  # where nothing fits
+        scale *= jnp.asarray(_WEIGHT / factors)[halvings]  # 1, 2, 4, ..: exact, unlike exp2
+        # A bias is added to sums, which are multiples of smaller fractions than the weights.
+        fraction = jnp.minimum(_WEIGHT * scale, _WEIGHT * _HIDDEN)
+        bias = jnp.clip(layer["bias"] / scale, -_MAX_WEIGHT, _MAX_WEIGHT)
+        layers[name] = {"bias": jnp.round(bias * fraction) / fraction, "kernel": kernel / _WEIGHT}
+    return {"params": layers}, scale
 
 
 class NCA(nn.Module):
@@ -68,8 +83,8 @@ class NCA(nn.Module):
     exact: bool = False  # whether it rounds what its layers give, after `round_weights`
 
     @nn.compact
-    def __call__(self, cells: Array) -> Array:
-        """Apply one step to the real-valued cells [H, W, K]."""
+    def __call__(self, cells: Array, scale: Array | float = 1) -> Array:
+        """Apply one step to the real-valued cells [H, W, K]; `scale` is that of exact weights."""
         last = len(self.kernel_sizes) - 1
         for layer, size in enumerate(self.kernel_sizes):
             width = self.kinds if layer == last else self.hidden
@@ -80,13 +95,13 @@ class NCA(nn.Module):
             )
             cells = convolution(cells)
             if self.exact:
-                fine = jnp.round(cells * _HIDDEN).astype(jnp.int32)
                 if layer == last:
-                    cells = jnp.asarray(_SIGMOID)[
-                        jnp.clip(fine + len(_SIGMOID) // 2, 0, len(_SIGMOID) - 1)
-                    ]
+                    half = len(_SIGMOID) // 2
+                    fine = jnp.clip(jnp.round(cells * (scale * _LOGIT)), -half, half - 1)
+                    cells = jnp.asarray(_SIGMOID)[fine.astype(jnp.int32) + half]
                 else:
-                    cells = jnp.clip(fine, 0, _MAX_HIDDEN * _HIDDEN - 1) / _HIDDEN
+                    fine = jnp.clip(jnp.round(cells * _HIDDEN), 0, _MAX_HIDDEN * _HIDDEN - 1)
+                    cells = fine / _HIDDEN
             else:
                 cells = nn.sigmoid(cells) if layer == last else nn.relu(cells)
         return cells
@@ -113,10 +128,12 @@ def make_automaton(
     def grow(parameters: jax.Array, start: Array, steps: Array | int) -> jax.Array:
         chex.assert_shape(parameters, (flat.size,))
         chex.assert_shape(start, (None, None, kinds))
-        weights = unravel(parameters)
+        weights, scale = unravel(parameters), jnp.float32(1)
         if exact:
-            weights = round_weights(weights)
-        return jax.lax.fori_loop(0, steps, lambda _, cells: module.apply(weights, cells), start)
+            weights, scale = round_weights(weights)
+        return jax.lax.fori_loop(
+            0, steps, lambda _, cells: module.apply(weights, cells, scale), start
+        )
 
     return flat.size, grow
 

@@ -52,6 +52,9 @@ class GrownLayout:
     # of the repaired layout, as far as they need no simulation, by their names
     measures: Mapping[str, float]
     driven: tuple[Driven, ...]  # simulations, a record for each planner
+    # `grid.checksum` of the layout before its repair; empty for an automaton of floats, which draws
+    # another elsewhere
+    drawing: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,14 @@ class Shipped(NamedTuple):
 
     collection: Collection  # the domain's
     generator: NamedGenerator  # of it
+
+    def drawing(self, cell: tuple[int, ...], shape: tuple[int, int], steps: int) -> str:
+        """Return the recorded `GrownLayout.drawing` of an elite at a size, or nothing."""
+        sizes = (
+            size for one in self.collection.generators if one.cell == cell for size in one.sizes
+        )
+        alike = (one for one in sizes if (one.rows, one.cols, one.steps) == (*shape, steps))
+        return next((one.drawing for one in alike), "")
 
     def __str__(self) -> str:
         """Return its name on command lines."""

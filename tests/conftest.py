@@ -92,7 +92,11 @@ def own_layout() -> Callable[[str], Path]:
 
 @pytest.fixture(scope="session")
 def small_run(tmp_path_factory) -> RunDirectory:
-    """A search of six evaluations on a warehouse of 9 x 10; tests only read it."""
+    """A search of six evaluations on a warehouse of 9 x 10; tests only read it.
+
+    Of an automaton of floats, like the saved runs of the tables.
+    """
     path = tmp_path_factory.mktemp("runs") / "warehouse-even"
-    assert qdenv(["train", "quick", "--run-dir", str(path), *SMALL.split()]) == 0
+    small = [*SMALL.split(), "--arithmetic", "float"]
+    assert qdenv(["train", "quick", "--run-dir", str(path), *small]) == 0
     return RunDirectory.open(path)

@@ -46,42 +46,51 @@ def test_step_agrees_with_oracle(kernel_sizes):
     np.testing.assert_allclose(grow(flat, cells, 2), expected, atol=2e-6)
 
 
-def whole_number_step(layers: list[dict[str, np.ndarray]], cells: np.ndarray) -> np.ndarray:
+def whole_number_step(layers: list[dict[str, np.ndarray]], cells: np.ndarray, scale: int):
     """Apply one step of an exact automaton in whole numbers: outputs in 1024ths, int64."""
     fraction = 1024  # of what comes in
     for number, layer in enumerate(layers):
-        kernel, bias = (np.round(layer[part] * 512).astype(np.int64) for part in ("kernel", "bias"))
+        kernel = np.round(layer["kernel"] * 512).astype(np.int64)
+        bias = np.round(layer["bias"] * 512 * fraction).astype(np.int64)
+        np.testing.assert_array_equal(bias, layer["bias"] * 512 * fraction)
         reach = kernel.shape[0] // 2
         padded = np.pad(cells, ((reach, reach), (reach, reach), (0, 0)))
         windows = np.lib.stride_tricks.sliding_window_view(padded, kernel.shape[:2], (0, 1))
-        sums = np.einsum("hwijk,jkio->hwo", windows, kernel) + bias * fraction
+        sums = np.einsum("hwijk,jkio->hwo", windows, kernel) + bias
         assert abs(sums).max() <= 2**24
-        # Half a 64th is rounded to the even one.
-        unit = 512 * fraction // 64
+        if number == len(layers) - 1:
+            sums *= scale
+        # Half a unit is rounded to the even one: a 32nd, or a 128th before the sigmoid.
+        last = number == len(layers) - 1
+        unit = 512 * fraction // (128 if last else 32)
         fine, rest = np.divmod(sums, unit)
         fine += (rest * 2 > unit) | ((rest * 2 == unit) & (fine % 2 == 1))
-        if number < len(layers) - 1:
-            cells, fraction = np.clip(fine, 0, 511), 64
+        if not last:
+            cells, fraction = np.clip(fine, 0, 511), 32
         else:
-            cells = np.round(1024 / (1 + np.exp(-np.clip(fine, -512, 511) / 64))).astype(np.int64)
+            values = 1024 / (1 + np.exp(-np.clip(fine, -1024, 1023) / 128))
+            cells = np.round(values).astype(np.int64)
     return cells
 
 
-@pytest.mark.parametrize(("kernel_sizes", "sigma"), [((3, 3, 3), 0.2), ((3, 1, 1), 1.0)])
+@pytest.mark.parametrize(
+    ("kernel_sizes", "sigma"), [((3, 3, 3), 0.2), ((3, 3, 3), 1.4), ((3, 1, 1), 1.0)]
+)
 def test_an_exact_automaton_computes_in_whole_numbers(kernel_sizes, sigma):
     size, grow = make_automaton(3, kernel_sizes, hidden=32, exact=True)
     rng = np.random.default_rng(3)
     flat = rng.normal(0, sigma, size).astype(np.float32)
     shapes = NCA(3, kernel_sizes, 32).init(jax.random.key(1), jnp.zeros((1, 1, 3)))
-    variables = round_weights(ravel_pytree(shapes)[1](jnp.asarray(flat)))["params"]
+    variables, scale = round_weights(ravel_pytree(shapes)[1](jnp.asarray(flat)))
+    assert scale == {0.2: 1, 1.0: 8, 1.4: 256}[sigma]
     layers = [
         {name: np.asarray(part, np.float64) for name, part in layer.items()}
-        for _, layer in sorted(variables.items())
+        for _, layer in sorted(variables["params"].items())
     ]
     cells = seed_canvas(("ee", "@@"), 8, 9, ".@e")
     expected = cells.astype(np.int64) * 1024
     for _ in range(20):
-        expected = whole_number_step(layers, expected)
+        expected = whole_number_step(layers, expected, int(scale))
     np.testing.assert_array_equal(np.asarray(grow(flat, cells, 20)) * 1024, expected)
 
 

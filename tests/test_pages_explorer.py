@@ -359,7 +359,7 @@ def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_
 def test_guidance_lies_on_layouts_of_elites_that_drew_costs(small_run, page_file, tmp_path):
     assert "guidance" not in page_file.read_text()
     settings = small_run.config.evaluation.generator
-    guided = GuidedNcaConfig(settings.steps, settings.kernel_sizes, settings.hidden)
+    guided = GuidedNcaConfig(**vars(settings))
     config, archive = small_run.config.evaluation, small_run.archive
     domain = make_domain(config.domain)
     generator = GENERATORS.make(guided, domain.canvas)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from qdenv.configurations import PRESETS
-from qdenv.run.config import config_from_json, config_to_json
+from qdenv.run.config import config_from_json, config_to_json, override
 from qdenv.run.directory import Metrics, RunDirectory
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.simulate.mapf.pbs.settings import PbsConfig
@@ -25,6 +25,15 @@ def through_json(content: dict) -> dict:
 def test_every_preset_returns_from_json(name):
     config = PRESETS[name]
     assert config_from_json(through_json(config_to_json(config)), SOURCE) == config
+
+
+def test_new_automata_are_exact_and_those_of_older_files_are_of_floats():
+    content = through_json(config_to_json(PRESETS["quick"]))
+    generator = content["evaluation"]["generator"]
+    assert generator.pop("arithmetic") == "exact"
+    old = config_from_json(content, SOURCE)
+    assert old == override(PRESETS["quick"], {"arithmetic": "float"})
+    assert config_from_json(through_json(config_to_json(old)), SOURCE) == old
 
 
 @pytest.mark.parametrize(

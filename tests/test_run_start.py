@@ -47,7 +47,8 @@ def test_the_first_population_lies_around_the_elite_that_is_named(kind, first, t
 def test_the_best_is_the_start_where_no_cell_is_named(first):
     config = replace(toy.CONFIG, start=str(first.path))
     np.testing.assert_array_equal(find_start(config), first.best.solution)
-    longer = replace(toy.CONFIG.evaluation, generator=NcaConfig(9, (3, 1), 4))
+    # Neither the steps nor the arithmetic need be those of the start.
+    longer = replace(toy.CONFIG.evaluation, generator=NcaConfig(9, (3, 1), 4, "float"))
     np.testing.assert_array_equal(
         find_start(replace(config, evaluation=longer)), first.best.solution
     )

@@ -24,6 +24,7 @@ from qdenv.repair.pool import RepairPool
 from qdenv.repair.settings import RepairConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
+from qdenv.shipped import Shipped, named
 from qdenv.simulate.mapf.fleet import FleetConfig
 from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
@@ -132,6 +133,27 @@ def test_any_canvas_grows(run, shape):
 
 def rules_of(grown):
     return grown.domain.rules()
+
+
+def test_a_drawing_that_is_not_the_recorded_one_is_said_in_a_line(run, caplog):
+    best = run.best
+    drawn = grow_elite(run, best).layout  # no drawing is recorded
+    recorded = best._replace(unrepaired=drawn)
+    grow_elite(run, recorded)
+    grow_elite(run, recorded, steps=9)  # another drawing is meant
+    (one,) = named("warehouse-even").collection.generators[:1]
+    size = replace(one.sizes[0], rows=15, cols=14, steps=9, drawing="0123abcd")
+    one = replace(one, cell=best.cell, sizes=(size,))
+    shipped = Shipped(replace(named("warehouse-even").collection, generators=(one,)), one)
+    large = replace(run, shipped=shipped)
+    grow_elite(large, best, (15, 14), 8)
+    assert caplog.messages == []
+    grow_elite(run, best._replace(unrepaired=drawn[::-1]))
+    grow_elite(large, best, (15, 14), 9)
+    first, second = caplog.messages
+    assert f"11 x 12 here than is recorded (checksum {grid.checksum(drawn)}, not " in first
+    assert "zoo:warehouse-even/best: draws another plan of 15 x 14" in second
+    assert "not 0123abcd" in second
 
 
 def test_frames_end_with_the_layout_that_is_repaired(run):

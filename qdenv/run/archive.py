@@ -54,6 +54,7 @@ class Elite(NamedTuple):
     measures: Mapping[str, float]  # value of each measure, by its name
     layout: np.ndarray  # int8 [H, W], repaired, as it was simulated
     schema: ArchiveSchema  # of the archive; `ArchiveSchema.tiles` is the alphabet of the layout
+    unrepaired: np.ndarray  # int8 [H, W], as it was drawn; without cells where that is not saved
 
     def __repr__(self) -> str:
         """Show its cell and its values, without the parameters."""
@@ -205,14 +206,18 @@ class SavedArchive:
     def _elite(self, row: int) -> Elite:
         names = [measure.name for measure in self.schema.measures]
         values = self.columns["measures"][row]
-        layouts = self.columns.get("repaired")  # None in a search of mere numbers
+        # None of them in a search of mere numbers.
+        layouts = [self.columns.get(name) for name in ("repaired", "unrepaired")]
+        nothing = np.zeros((0, 0), np.int8)
+        repaired, unrepaired = (nothing if one is None else one[row] for one in layouts)
         return Elite(
             self.columns["solution"][row],
             float(self.columns["objective"][row]),
             tuple(int(index) for index in self.cells[row]),
             {name: float(value) for name, value in zip(names, values, strict=True)},
-            np.zeros((0, 0), np.int8) if layouts is None else layouts[row],
+            repaired,
             self.schema,
+            unrepaired,
         )
 
     def elites(self) -> Iterator[Elite]:

@@ -62,8 +62,14 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
 
     Raises InputError, which names `source`, if a setting is unknown, missing or of the wrong type.
     """
-    if not isinstance(content.get("evaluation"), dict):
+    evaluation = content.get("evaluation")
+    if not isinstance(evaluation, dict):
         raise damaged(source, "no configuration of a run: evaluation is missing")
+    generator = evaluation.get("generator")
+    if isinstance(generator, dict) and generator.get("name") in ("nca", "guided-nca"):
+        # All automata were of floats when nothing was written about it.
+        evaluation = evaluation | {"generator": {"arithmetic": "float"} | generator}
+        content = content | {"evaluation": evaluation}
     return structured(content, RunConfig, source, infinite=True, choices=_CHOICES)
 
 

@@ -48,6 +48,7 @@ _AXIS = ("name", "low", "high", "cells")  # fields of a `Measure` in manifest.js
 _PACKAGES = ("qdenv", "jax", "jaxlib", "numpy", "flax", "qdax", "evosax", "highspy", "numba")
 
 METRICS, NOTES = "metrics.csv", "notes.csv"
+_FREE = ("steps", "arithmetic")  # settings of a generator that its start need not share
 _LOG = logging.getLogger(__name__)
 Note = dict[str, float]  # numbers by name, like a surrogate's losses; NaN where there is none
 T = TypeVar("T")
@@ -328,13 +329,15 @@ def find_start(config: RunConfig) -> np.ndarray | None:
         ours = domain.generated
         raise InputError(f"start {config.start}: it draws {drawn}, this domain has {ours}")
     theirs, ours = run.config.evaluation.generator, config.evaluation.generator
-    if hasattr(theirs, "steps") and type(ours) is type(theirs):
-        theirs = replace(theirs, steps=ours.steps)  # the same automaton grows for any time
+    # The same weights grow for any time, and draw much alike in either arithmetic.
+    free = {name: getattr(ours, name) for name in _FREE if hasattr(ours, name)}
+    if type(ours) is type(theirs):
+        theirs = replace(theirs, **free)
     solution, kinds = elite.solution, len(domain.generated)
     if type(theirs) is NcaConfig and isinstance(ours, GuidedNcaConfig):
         from qdenv.nca import add_channels  # imports flax
 
-        more = {"steps": ours.steps, "base": ours.base}
+        more = {**free, "base": ours.base}
         solution = add_channels(solution, kinds, NUM_MOVES, theirs.kernel_sizes, theirs.hidden)
         theirs = GuidedNcaConfig(**vars(theirs) | more)
     if ours != theirs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
 from qdenv.generate import GENERATORS, inside_frame
+from qdenv.grid import checksum
 from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax, jnp
 from qdenv.progress import Progress, silent
@@ -24,6 +26,13 @@ from qdenv.types import Array, InputError, Repair, RepairStatus
 
 # Rows and columns of Figure 18, from S to S_eval.
 SIZES = ((33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102))
+
+
+_OTHER_DRAWING = (
+    "%s: draws another plan of %d x %d here than is recorded (checksum %s, not %s), which an exact "
+    "automaton never should: what is recorded of it does not hold for this plan"
+)
+_LOG = logging.getLogger(__name__)
 
 
 class Unrepaired(NamedTuple):
@@ -46,6 +55,7 @@ class Sized(NamedTuple):
     cpu_seconds: float  # of the repair
     # float [5, H, W], costs of moves (`guidance`); None where nothing draws them
     costs: np.ndarray | None = None
+    drawing: str = ""  # `checksum` of the layout before its repair
 
 
 def details(sized: Sized) -> dict[str, int | float | str]:
@@ -134,6 +144,12 @@ def grow_elite(
         steps = size.steps if size and own else round(own * longer)
     elite = which if isinstance(which, Elite) else run.archive.elite(which)
     layout = grow_series(config, domain, elite.solution, [steps])[0]
+    if plan is None and keep is None and getattr(config.generator, "arithmetic", "") == "exact":
+        recorded = run.shipped.drawing(elite.cell, (rows, cols), steps) if run.shipped else ""
+        if (rows, cols, steps) == (*elite.unrepaired.shape, config.generator.steps):
+            recorded = recorded or checksum(elite.unrepaired)
+        if recorded not in ("", checksum(layout)):
+            _LOG.warning(_OTHER_DRAWING, run, rows, cols, checksum(layout), recorded)
     return Unrepaired(domain, elite, layout, steps)
 
 
@@ -191,6 +207,7 @@ def finish(grown: Unrepaired, config: RepairConfig, seed: int) -> Sized:
         repair="none" if repaired is None else RepairStatus(int(repaired.status)).name.lower(),
         changed=int((before != after).sum()),
         cpu_seconds=0.0 if repaired is None else round(float(repaired.seconds), 3),
+        drawing=checksum(before),
     )
 
 

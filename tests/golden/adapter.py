@@ -123,6 +123,6 @@ def float_fingerprint() -> np.ndarray:
     import jax
 
     canvas = qdenv.Canvas(16, 16, ".@ew", (".@.", "@e@", ".@."))
-    generator = qdenv.GENERATORS.make(qdenv.NcaConfig(), canvas)
+    generator = qdenv.GENERATORS.make(qdenv.NcaConfig(arithmetic="float"), canvas)
     weights = np.random.default_rng(0).normal(scale=0.4, size=(8, generator.size))
     return np.asarray(jax.jit(lambda w: generator.grow(w, 50))(weights.astype(np.float32)))
