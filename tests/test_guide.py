@@ -81,6 +81,9 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
     zoo = qdenv.RunDirectory.open("zoo:warehouse-even/best").path
     with pytest.raises(InputError, match="ships with qdenv"):
         qdenv.guide(plan, path=zoo, model=path, **FLEET)
+    (tmp_path / FILE).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="a run would replace it"):
+        qdenv.guide(plan, path=tmp_path, model=path, **FLEET)
     with pytest.raises(InputError, match="no update model was searched there"):
         qdenv.guide(plan, model=path, path=tmp_path / "out", **FLEET)
     with pytest.raises(InputError, match="simulate fewer agents"):

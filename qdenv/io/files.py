@@ -220,11 +220,12 @@ def refuse_second_run(folder: Path, begun: Sequence[str] = ()) -> None:
     `begun` are the names of files that a process which was killed left before its run counted.
     """
     for name in RUN_FILES:
-        if name in begun or not (folder / name).exists():
+        path = folder / name
+        if name in begun or not (path.exists() or path.is_symlink()):
             continue
         if name in RUN_FILES[:2]:
             raise InputError(f"{folder}: holds a run already; `qdenv resume {folder}` continues it")
-        raise InputError(f"{folder / name}: a run would replace it: name a new folder")
+        raise InputError(f"{path}: a run would replace it: name a new folder")
 
 
 def damaged(source: Path | str, reason: object) -> DamagedError:
