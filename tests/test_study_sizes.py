@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 
+import qdenv
 from qdenv import grid
 from qdenv.cli import main as cli
 from qdenv.domains.base import KnownSize, find_domain, make_domain
@@ -122,6 +123,13 @@ def test_at_a_known_size_its_numbers_replace_what_would_scale(run, tmp_path, cap
     assert line in capsys.readouterr().out
     assert cli.run([*plain, str(tmp_path / "l.json"), "--shelves", "9", "--steps", "2"]) == 0
     assert "evaluation size" not in capsys.readouterr().out
+
+
+def test_a_layout_is_grown_and_polished_where_that_is_asked_for(run):
+    assert "lower_bound" not in qdenv.generate(run).facts
+    quick, full = (qdenv.generate(run, polish=how).facts for how in ("quick", "full"))
+    assert full["lower_bound"] <= full["changed"] <= quick["changed"]
+    assert quick["lower_bound"] < full["lower_bound"]
 
 
 @pytest.mark.parametrize("shape", [(9, 9), (60, 61)])

@@ -17,6 +17,7 @@ from qdenv.ops.layouts import layout_human
 from qdenv.ops.output import AUTO, Layout, Place, place, place_folder, save_with_picture, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
+from qdenv.repair.settings import Polish
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import file_name
@@ -105,6 +106,9 @@ class GrowthOptions(Ranged):
     steps: PositiveInt | None = None
     # other seeds give other, equally good repairs; the run's own unless given
     seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
+    # how hard to repair: full lets HiGHS improve what is annealed, and proves it where it can; as
+    # the search did (quick) unless given, which makes the layouts that were simulated
+    polish: Polish | None = None
     # floor plan whose size, numbers of tiles, walls and stations the layout has
     plan: args.PlanFile = None
     # what must stay of the plan: tiles (w), a rectangle (0:7,33:40), a drawing; + joins several
@@ -135,7 +139,7 @@ def generate(
         out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
             unless given.
         **numbers: exact numbers of tiles; unless given what is known of the size, or else scaled
-            with the area. In Python also ``steps`` and ``seed``.
+            with the area. In Python also ``steps``, ``seed`` and ``polish``.
 
     Returns:
         the layout, with elite, steps and repair among its facts.
@@ -147,7 +151,7 @@ def generate(
         ``qdenv generate zoo:warehouse-even/best --rows 57 --cols 58 --out plan.txt``
     """
     stated: dict[str, Any] = {
-        name: numbers.pop(name) for name in ("steps", "seed") if name in numbers
+        name: numbers.pop(name) for name in ("steps", "seed", "polish") if name in numbers
     }
     growth = dataclasses.replace(growth, **stated)
     # A size that is not stated is the trained one, which needs no check.
@@ -178,7 +182,9 @@ def generate(
             say(f"{frames}: after {', '.join(map(str, after))} steps")
         # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
-        repaired = repair_grown(grown, config.evaluation.repair, seed, bar) if repair else None
+        how = config.evaluation.repair
+        how = dataclasses.replace(how, polish=growth.polish or how.polish)
+        repaired = repair_grown(grown, how, seed, bar) if repair else None
     chosen = [*(numbers if plan is None else domain.counted), *["steps"] * bool(growth.steps)]
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:
@@ -189,6 +195,9 @@ def generate(
         layout = np.asarray(repaired.layout)
         status = RepairStatus(int(repaired.status)).name.lower()
         details |= {"repair": status, "changed": float(repaired.cost)}
+        if growth.polish:
+            bound = details["lower_bound"] = float(repaired.lower_bound)
+            say(f"repair: {status}, {repaired.cost:g} cells changed, {bound:g} at least")
         say(*describe_changes(list_changes(grown.layout, layout, domain)))
     costs = draw_grown_costs(config.evaluation, grown, layout)
     facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
