@@ -134,9 +134,10 @@ def join_pieces(
     length = distance[cells].sum(0)
     order = np.lexsort((length, high, low))
     best = order[np.unique((low * pieces + high)[order], return_index=True)[1]]
-    ways = sparse.csr_array((length[best], (low[best], high[best])), shape=(pieces, pieces))
+    between = np.stack([low, high]).astype(np.int32)[:, best]  # older versions take no int64
+    ways = sparse.csr_array((length[best], tuple(between)), shape=(pieces, pieces))
     tree = sparse.coo_array(minimum_spanning_tree(ways))
-    chosen = np.isin(low[best] * pieces + high[best], tree.row * np.int64(pieces) + tree.col)
+    chosen = np.isin(low[best] * pieces + high[best], tree.row.astype(np.int64) * pieces + tree.col)
     # Open the chosen ways, from where they meet back to the pieces.
     ends = cells[:, best[chosen]].ravel()
     while ends.size:
