@@ -20,6 +20,10 @@ class Difference(NamedTuple):
     high: float  # upper end
     significant: bool  # the interval excludes 0
 
+    def __str__(self) -> str:
+        """Write it with its interval: +5.2 % (+3.7 to +7.0)."""
+        return f"{self.percent:+.1f} % ({self.low:+.1f} to {self.high:+.1f})"
+
 
 class Sample(NamedTuple):
     """The mean of independent runs."""

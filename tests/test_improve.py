@@ -54,6 +54,8 @@ def test_a_better_floor_is_found_and_written_as_the_plan_came(done, plan):
     assert best.better and best.percent > 10 and best.low > 0
     for picture in ("a_new_floor.png", "racks_moved.png"):
         assert (folder / picture).stat().st_size > 10_000
+    # Shelves by the stations are as good where their number of endpoints does not count.
+    assert best.by_shelf > 10 and rows["floor", 5].by_shelf is None
     written = folder / "a_new_floor.txt"
     assert run(["check", str(written), "--shelves", "3"]) == 0
     before, after = qdenv.read_plan(plan), qdenv.read_plan(written)

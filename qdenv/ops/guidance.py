@@ -143,9 +143,8 @@ def show_guidance(
     half = len(counts)
     table: list[tuple[str, ...]] = [("agents", "before", "after", "change (95 %)")]
     for before, after, change in zip(rows[:half], rows[half:], changes[half:], strict=True):
-        low, high = f"{change.low:+.1f}", f"{change.high:+.1f}"
         means = [f"{row.mean_of_all:.3f} +- {row.error_of_all:.3f}" for row in (before, after)]
-        table.append((str(before.agents), *means, f"{change.percent:+.1f} % ({low} to {high})"))
+        table.append((str(before.agents), *means, str(change)))
     studies.write_rows(path / ROWS, rows)
     say(f"{path / FILE}, {PICTURE}, {ROWS}", *format_table(table))
     return Table(rows, facts | {"guidance": str(path / FILE)})

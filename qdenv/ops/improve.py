@@ -46,6 +46,8 @@ class Improvement(NamedTuple):
     percent: float  # how much more than the plan
     low: float  # lower end of its 95 % interval
     high: float  # upper end
+    # percent where all shelves are alike, not all endpoints; None for more robots, or stated demand
+    by_shelf: float | None
     better: bool  # no interval of the section reaches down to the plan: its plan was written
 
 
@@ -225,18 +227,21 @@ def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Seque
 
     rows, counts = [], [config.fleet.agents, round(studies.CROWD * config.fleet.agents)]
     table = [("section", "lanes", "racks moved", *(f"{one} robots (95 %)" for one in counts))]
+    if any(one.by_shelf for one in judged):
+        table[0] += (f"{counts[0]}, all shelves alike",)
     free = domain.drivable(plan.layout)
     for one in judged:
         section, better = one.candidate.section, one.is_better
         moved = int((domain.drivable(one.candidate.plan.layout) & ~free).sum())
-        cells = []
+        cells: list[str] = []
         for number, agents, change in zip(one.throughput, counts, one.changes, strict=True):
             figures = change.percent, change.low, change.high
             facts = section, one.candidate.lanes, moved, agents, float(number.mean())
-            rows.append(Improvement(*facts, *figures, better))
-            cells.append("{:+.1f} % ({:+.1f} to {:+.1f})".format(*figures))
-        title = studies.SECTIONS[section][0]
-        table.append((title, one.candidate.lanes, str(moved), *cells))
+            by_shelf = one.by_shelf.percent if one.by_shelf and not cells else None
+            rows.append(Improvement(*facts, *figures, by_shelf, better))
+            cells.append(str(change))
+        cells += [str(one.by_shelf)] if one.by_shelf else []
+        table.append((studies.SECTIONS[section][0], one.candidate.lanes, str(moved), *cells))
         if better:
             _write(folder, plan, domain, one, config)
     write_csv(folder / ROWS, Improvement._fields, rows)

@@ -30,11 +30,12 @@ from qdenv.run.directory import RunDirectory
 from qdenv.search.settings import CmaEsConfig, RearrangeConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.shipped import PREFIX, named, names
+from qdenv.simulate.mapf.goals import BY_SHELF
 from qdenv.simulate.mapf.settings import FleetConfig
 from qdenv.stats import Difference, paired_difference
 from qdenv.study.engine import run_seeds
 from qdenv.study.guides import find_guidance, guide_config
-from qdenv.study.plans import Plan, guide, keep_costs
+from qdenv.study.plans import Plan, guide, keep_costs, with_tasks
 from qdenv.study.recordings import map_run
 from qdenv.types import RepairStatus
 
@@ -114,6 +115,8 @@ class Judged(NamedTuple):
     candidate: Candidate
     throughput: np.ndarray  # float [2, seeds], tasks per timestep
     changes: tuple[Difference, Difference]  # against the plan, with the same seeds
+    # the first of them where all shelves are alike, not all endpoints; None where demand is stated
+    by_shelf: Difference | None = None
 
     @property
     def is_better(self) -> bool:
@@ -298,9 +301,18 @@ def judge(
         if one.section not in chosen or worth > chosen[one.section][0]:
             chosen[one.section] = worth, one
     hers, judged = drive(plan, _PILOTS, _JUDGES), []
+    seeds, alike = range(_FRESH + _PILOTS, _FRESH + _PILOTS + _JUDGES), None
+    if not getattr(plan.domain.config, "demand", ".") and BY_SHELF[0] in plan.domain.counted:
+        alike = with_tasks(plan, {"demand": BY_SHELF[0]})
+        usual = mean_throughput(alike, fleets[0], seeds)
     for number, (_, one) in enumerate(chosen.values()):
         progress("judging the chosen", number / len(chosen), SECTIONS[one.section][0])
         ours = drive(one.plan, _PILOTS, _JUDGES)
         first, second = (paired_difference(*pair) for pair in zip(ours, hers, strict=True))
-        judged.append(Judged(one, ours, (first, second)))
+        by_shelf = None
+        if alike is not None:
+            # More endpoints near the stations shorten ways, as if people ordered other goods.
+            other = one.plan._replace(domain=alike.domain)
+            by_shelf = paired_difference(mean_throughput(other, fleets[0], seeds), usual)
+        judged.append(Judged(one, ours, (first, second), by_shelf))
     return judged
