@@ -146,7 +146,9 @@ def test_sphere_averages_its_seeds(tmp_path, capsys):
 
 def test_own_objective_saves_a_row_per_elite(tmp_path, capsys):
     own_objective.main("cma-mae", 4, 0, tmp_path / "chain")
-    coverage = numbers(capsys.readouterr().out)[-1]
+    said, files = capsys.readouterr().out.splitlines()
+    coverage = numbers(said)[-1]
+    assert files == f"{tmp_path / 'chain.csv'}, {tmp_path / 'chain.png'}"
     elites = len(list(read_rows(tmp_path / "chain.csv")))
     assert 0 < elites < 3600
     assert coverage == pytest.approx(100 * elites / 3600, abs=0.051)
