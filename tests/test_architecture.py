@@ -313,7 +313,7 @@ MOST = {
 MOST_REACHED = {
     "pipeline:evaluate": 6,
     "repair.recipe:repair_layout": 100,
-    "run.loop:train": 55,
+    "run.loop:train": 43,
     "ops.traffic:simulate": 124,
     "ops.runs:generate": 186,
     "simulate.mapf.pbs.planner:_plan_window": 49,
