@@ -1,6 +1,7 @@
 """`qdenv improve`: what the folder holds, that it goes on, and never calls a worse plan better."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,13 +18,20 @@ from qdenv.types import InputError
 pytestmark = pytest.mark.slow
 # Racks far from the stations, a column between them.
 ROWS = [
+    "+++",
+    "robots = 4",
+    "seconds_per_step = 1.5",
+    "cell = 1.2",
+    'keep = "0:1,0:15"',
+    "+++",
     "w..............",
     "w..........eee.",
     "...........@@@.",
     "w.....#........",
     "...............",
 ]
-QUICK = {"agents": 4, "timesteps": 40, "planner": "pibt", "progress": False}
+QUICK = {"timesteps": 40, "planner": "pibt", "progress": False}
+SHORT = ["--timesteps", "40", "--planner", "pibt", "--no-progress"]
 
 
 @pytest.fixture(scope="module")
@@ -81,10 +89,8 @@ def test_what_is_not_better_is_not_written(done):
         assert (folder / f"{names[row.section]}.txt").exists() == row.better
 
 
-def test_the_same_command_again_and_a_pause_end_where_one_search_does(done, plan, tmp_path, capsys):
-    table, folder = done
-    again = qdenv.improve(plan, path=folder, evaluations=128, **QUICK)
-    assert list(again) == list(table)
+def test_a_folder_of_other_settings_or_files_is_refused(done, plan):
+    _, folder = done
     with pytest.raises(InputError, match="other settings"):
         qdenv.improve(plan, path=folder, evaluations=129, **QUICK)
     with pytest.raises(InputError, match="something else"):
@@ -109,6 +115,43 @@ def test_a_foreign_folder_writes_nowhere_else(changes, message, done, tmp_path):
     with pytest.raises(InputError, match=message):
         qdenv.resume(tmp_path)
     assert not (tmp_path / "elsewhere").exists()
+
+
+def test_an_hour_of_an_engineer(done, plan, tmp_path, monkeypatch):
+    """No command needs an option from her plan, nor from what the one before wrote."""
+    monkeypatch.chdir(tmp_path)
+    better = str(done[1] / "a_new_floor.txt")
+    for layout in (str(plan), better):
+        assert run(["check", layout]) == 0
+        simulate = ["simulate", layout, *SHORT[:-1], "--seeds", "2", "--no-verdict"]
+        assert run([*simulate, "--json", "facts.json"]) == 0
+        facts = json.loads(Path("facts.json").read_text())
+        assert facts["agents"] == 4
+        assert facts["tasks_per_hour"] == pytest.approx(2400 * facts["mean_throughput"])
+    assert qdenv.read_plan(better).fitted().config.keep[0] == "w" + "." * 14
+    assert "tasks an hour" in (done[1] / "report.html").read_text()
+    assert run(["convert", better, "hall.lif"]) == 0
+    (drawn,) = json.loads(Path("hall.lif").read_text())["layouts"]
+    assert drawn["nodes"][0]["nodePosition"] == {"x": 0.6, "y": 5.4}
+    assert run(["convert", better, "copy.csv"]) == 0
+    assert qdenv.read_plan("copy.csv").facts.details == qdenv.read_plan(plan).facts.details
+
+
+def test_interrupted_and_resumed_with_other_workers_it_ends_the_same(
+    done, plan, tmp_path, monkeypatch
+):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    folder = tmp_path / "threads"
+    line = ["improve", str(plan), "--evaluations", "128", *SHORT, "--out", str(folder)]
+    with monkeypatch.context() as patch:
+        patch.setattr(studies, "judge", interrupt)
+        assert run([*line, "--executor", "threads", "--workers", "2"]) == 130
+    assert not (folder / "improve.csv").exists()
+    assert run(["resume", str(folder)]) == 0
+    for name in ("improve.csv", "a_new_floor.txt", "a_new_floor.toml"):
+        assert (folder / name).read_bytes() == (done[1] / name).read_bytes()
 
 
 def test_better_means_better_at_both_numbers_of_robots():

@@ -197,15 +197,22 @@ class Domain:
 
     @property
     def details(self) -> dict[str, Any]:
-        """What a layout file states about its domain: the name, what must stay, the tasks."""
-        stated = {"keep": self.config.keep, "facts": self.tasks}
+        """What a layout file states about its domain: the name, what must stay, rules and tasks."""
+        facts, spare = self._stated(self.rule_settings), getattr(self.config, "spare_shelves", 0)
+        if spare:
+            facts["shelves"] = f"{self.config.shelves}:{self.config.shelves + spare}"
+        stated = {"keep": self.config.keep, "facts": facts | self.tasks}
         return {"domain": self.name} | {name: one for name, one in stated.items() if one}
 
     @property
     def tasks(self) -> dict[str, Any]:
         """The settings that say what robots do at their goals, without those at their defaults."""
-        values = {name: getattr(self.config, name) for name in self.task_settings}
+        return self._stated(self.task_settings)
+
+    def _stated(self, settings: Sequence[str]) -> dict[str, Any]:
+        """Return those of some settings that are not at their defaults."""
         usual = type(self.config)()
+        values = {name: getattr(self.config, name) for name in settings}
         return {name: one for name, one in values.items() if one != getattr(usual, name)}
 
     @property

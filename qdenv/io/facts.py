@@ -51,6 +51,13 @@ class PlanFacts(Ranged):
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def details(self) -> dict[str, Any]:
+        """What a plan made of this one states, too, as in a layout file: robots and units."""
+        names = "robots", "cell", "seconds_per_step"
+        facts = {name: one for name in names if (one := getattr(self, name)) is not None}
+        return {"facts": facts} if facts else {}
+
+    @property
     def shelf_range(self) -> tuple[int, int] | None:
         """The fewest and the most shelves; None where they are as many as in the plan."""
         if self.shelves is None:

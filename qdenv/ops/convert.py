@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from qdenv.domains.base import Domain
 from qdenv.grid import draw
+from qdenv.io.facts import write_facts
 from qdenv.io.formats import FORMATS, find_writer, write_drawing
 from qdenv.io.guidance import weights_of
 from qdenv.io.layouts import Drawing, check_size, read_drawing
@@ -65,8 +66,16 @@ def convert(
     plan, found = guide(plan, guidance), plan.domain
     check_size(*plan.layout.shape)
     stated = {} if plan.assumed else {"domain": found.name}
-    details = {**drawing.details, **stated} | ({"keep": plan.keep} if plan.keep else {})
+    facts = {**plan.facts.details.get("facts", {}), **found.details.get("facts", {})}
+    facts |= {"shelves": plan.facts.shelves} if plan.facts.shelves else {}
+    facts |= {} if cell is None else {"cell": cell}
+    own = {"facts": facts, "keep": plan.keep}
+    details = {**drawing.details, **stated} | {name: one for name, one in own.items() if one}
     details |= {} if cell is None else {"cell": cell}
+    beside = None
+    if chosen in ("text", "csv") and (facts or plan.keep):
+        beside = write_facts(written.path, {"domain": found.name, **own})
+        details = {name: one for name, one in details.items() if name not in {"cell", *own}}
     weights = None
     if plan.costs is not None:
         free = found.drivable(plan.layout)
@@ -76,6 +85,7 @@ def convert(
     left_out = write_drawing(written.path, drawing, _meanings(found), format)
     lost = [f"{name}: {what} left out" for what in drawing.lost] + left_out
     say(*lost, f"{written}: {chosen}, {len(rows)} x {len(rows[0])}, {plan.whose}")
+    say(*filter(None, [beside]))
     return Result(file=str(written.path), format=chosen, left_out=lost)
 
 

@@ -19,7 +19,7 @@ from qdenv.io.formats import holds
 from qdenv.io.layouts import ENDINGS, write_layout
 from qdenv.io.records import read_json, structured, unstructured
 from qdenv.ops import options as args
-from qdenv.ops.output import Table, format_table, say
+from qdenv.ops.output import Layout, Table, format_table, say
 from qdenv.progress import Bar
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
@@ -127,7 +127,7 @@ def _begin(folder: Path, plan: Plan, config: Any) -> None:
     RunDirectory(folder).demand_own()
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: holds something else: name a new folder with --out")
-    named = {"domain": domain.name}
+    named = {"domain": domain.name, **plan.facts.details}
     write_layout(folder / PLAN, plan.layout, domain.tiles, domain.meanings, plan.costs, **named)
     write_json(folder / SETTINGS, content)
 
@@ -303,7 +303,7 @@ def _write(folder: Path, plan: Plan, domain: Domain, one: Any, config: Any) -> N
         written.append(folder / f"{name}_guidance.json")
         write_layout(written[1], after.layout, domain.tiles, domain.meanings, costs, **details)
         costs = None
-    write_layout(target, after.layout, domain.tiles, domain.meanings, costs, **details)
+    Layout(after.layout, domain, plan.facts.details, costs=costs).save(target)
     usages = studies.map_usage(plan, config.fleet), studies.map_usage(after, config.fleet)
     picture = folder / f"{name}.png"
     save_figure(draw_change(plan, after, usages, (plan.name, title)), picture, crop=True)

@@ -183,8 +183,7 @@ def repair(
         raise InputError(f"{name}: no repair exists: {reason}")
     # Everything is refused before the compiler and the solver are imported, which takes seconds.
     inputs, default = [layout, keep], f"{plan.name}_repaired.json"
-    endings = _endings(plan, fitted)
-    target = place(out, default, endings, inputs)
+    target = place(out, default, _endings(plan, fitted), inputs)
     beside = target.path if target else Path(default)
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
     say("{}: {} x {}, {}".format(name, *plan.layout.shape, plan.whose))
@@ -220,7 +219,8 @@ def repair(
         raise UnsolvedError(f"{name}: no feasible layout was found: try another seed{less}", facts)
     say(*describe_changes(changes), *warn_of_changes(changes))
     costs = keep_costs(plan, repaired)
-    made = Layout(repaired, fitted, {"repaired_from": Path(name).name}, facts, costs)
+    details = plan.facts.details | {"repaired_from": Path(name).name}
+    made = Layout(repaired, fitted, details, facts, costs)
     if target:
         made.save(target.path)
         say(target)

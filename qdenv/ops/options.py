@@ -297,6 +297,8 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
     if isinstance(layout, Plan | Layout):
         if domain not in (None, layout.domain.name):
             raise InputError(f"this layout is of {layout.domain.name}: leave domain out")
+        if isinstance(layout, Plan):
+            return layout._replace(assumed=False)
         guidance, costs = "none" if layout.costs is None else name, layout.costs
         return Plan(name, layout.layout, layout.domain, False, costs=costs, guidance=guidance)
     if domain is None:

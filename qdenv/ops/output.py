@@ -149,9 +149,12 @@ class Layout:
     def save(self, path: str | Path) -> Path:
         """Write a layout file with the domain and the details in it; InputError if impossible.
 
-        Beside text and CSV, which hold none, domain, cells that must stay and tasks are facts.
+        Beside text and CSV, which hold none, domain, cells that must stay, rules and tasks are
+        facts.
         """
-        details = {**self.domain.details, **self.details}
+        own = self.domain.details
+        facts = {**own.get("facts", {}), **self.details.get("facts", {})}
+        details = {**own, **self.details} | ({"facts": facts} if facts else {})
         tiles, meanings, costs = self.domain.tiles, self.domain.meanings, self.costs
         if costs is not None:
             costs = np.where(self.domain.drivable(self.layout), costs, np.inf)
@@ -159,8 +162,8 @@ class Layout:
         path = Path(path)
         if path.suffix.lower() in (".txt", ".csv"):
             stale = path.with_suffix(".toml").exists()
-            if stale or self.domain.tasks or not is_plain(self.layout, self.domain):
-                beside = write_facts(path, self.domain.details)
+            if stale or facts or not is_plain(self.layout, self.domain):
+                beside = write_facts(path, own | ({"facts": facts} if facts else {}))
                 mine = f"{path.with_suffix('.toml')} is not of qdenv: not replaced"
                 say(mine if beside is None else beside)
         return path

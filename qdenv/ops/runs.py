@@ -202,6 +202,7 @@ def generate(
     costs = draw_grown_costs(config.evaluation, grown, layout)
     facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
     settings = {"run": str(run), "elite": found.cell, "seed": seed}
+    details |= {} if plan is None else plan.facts.details
     made = save_with_picture(Layout(layout, domain, details, facts, costs), target)
     return dataclasses.replace(made, facts=facts | {"settings": settings})
 
