@@ -198,8 +198,8 @@ class Domain:
     @property
     def details(self) -> dict[str, Any]:
         """What a layout file states about its domain: the name, what must stay, rules and tasks."""
-        facts, spare = self._stated(self.rule_settings), getattr(self.config, "spare_shelves", 0)
-        if spare:
+        facts = self._stated(self.rule_settings)
+        if spare := getattr(self.config, "spare_shelves", 0):
             facts["shelves"] = f"{self.config.shelves}:{self.config.shelves + spare}"
         stated = {"keep": self.config.keep, "facts": facts | self.tasks}
         return {"domain": self.name} | {name: one for name, one in stated.items() if one}
@@ -209,11 +209,10 @@ class Domain:
         """The settings that say what robots do at their goals, without those at their defaults."""
         return self._stated(self.task_settings)
 
-    def _stated(self, settings: Sequence[str]) -> dict[str, Any]:
+    def _stated(self, names: Sequence[str]) -> dict[str, Any]:
         """Return those of some settings that are not at their defaults."""
-        usual = type(self.config)()
-        values = {name: getattr(self.config, name) for name in settings}
-        return {name: one for name, one in values.items() if one != getattr(usual, name)}
+        ours, usual = vars(self.config), vars(type(self.config)())
+        return {name: ours[name] for name in names if ours[name] != usual[name]}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -278,8 +277,7 @@ class Domain:
         if min(self.generated_shape) < 1:
             rows, cols = self.shape
             raise InputError(f"{rows} x {cols}: {self.name} has no room inside its frame")
-        area, own_area = empty.area, self.area
-        scaled = {name: round(one * area / own_area) for name, one in self.numbers.items()}
+        scaled = {name: round(one * empty.area / self.area) for name, one in self.numbers.items()}
         size = self.known_size(rows, cols)
         chosen = scaled | dict(size.numbers if size else {}) | dict(numbers or {})
         for name, number in chosen.items():
@@ -336,8 +334,8 @@ def make_domain(config: Any) -> Domain:
     domain: Domain = DOMAINS.make(config)
     if config.around:
         domain = replace(domain, measures=(_racks_moved(domain),))
-    if domain.rules is not None:
-        own, names = domain.rules, domain.names
+    own, names = domain.rules, domain.names
+    if own is not None:
         domain = replace(domain, rules=lambda: own()._replace(names=names))
     if not config.keep:
         return domain
