@@ -26,10 +26,10 @@ from qdenv.cli.parser import run_program
 from qdenv.domains.base import DOMAINS, Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import tile_goal
-from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.goals import tile_goal
+from qdenv.simulation.mapf.pbs.settings import PbsConfig
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.options import parse_counts
 from qdenv.study.plans import guide, read_plan
 from qdenv.study.table import Row, Trial, compare, write_rows

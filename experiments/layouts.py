@@ -18,10 +18,10 @@ from qdenv.agent.evaluate import BAND, draw_mazes, without_ring
 from qdenv.domains.base import Domain, find_domain
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.io.layouts import write_layout
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.settings import RepairConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import PREFIX, USUAL, NamedGenerator, named, names
-from qdenv.simulate.maze.world import WALL, longest_path
+from qdenv.simulation.maze.world import WALL, longest_path
 from qdenv.study import elites as sizes
 from qdenv.study.elites import Unrepaired
 from qdenv.types import Array, InputError

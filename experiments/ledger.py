@@ -15,9 +15,9 @@ from qdenv.grid import checksum
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
 from qdenv.run.executors import ClusterExecutor
-from qdenv.simulate.mapf.negotiated.settings import EFFORTS
-from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.simulation.mapf.negotiated.settings import EFFORTS
+from qdenv.simulation.mapf.pbs.settings import PbsConfig
+from qdenv.simulation.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.stats import Sample, sample_of, wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import fleet_tasks

@@ -16,8 +16,8 @@ from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
-from qdenv.simulate.maze.policy import Weights, load_weights
-from qdenv.simulate.maze.world import WALL
+from qdenv.simulation.maze.policy import Weights, load_weights
+from qdenv.simulation.maze.world import WALL
 from qdenv.stats import sample_of, wilson_interval
 
 GROWN = -1  # in place of a seed: the maze that the others take after

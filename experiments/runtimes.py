@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
 from experiments.pieces import Drawn, Experiment, Folders, Piece, say, table
 from experiments.published import FLEETS
-from qdenv.generate import GENERATORS
+from qdenv.generators import GENERATORS
 from qdenv.io.files import write_csv
 from qdenv.io.tables import read_table
 from qdenv.run.directory import RunDirectory

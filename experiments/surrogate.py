@@ -26,8 +26,8 @@ from qdenv.io.files import write_csv
 from qdenv.run.checkpoint import load_newest
 from qdenv.search.base import growing
 from qdenv.study.surrogate import score_predictions, split_elites
-from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
-from qdenv.surrogate.surrogate import Ring, Samples, Surrogate
+from qdenv.surrogates.settings import PUBLISHED, SurrogateConfig
+from qdenv.surrogates.surrogate import Ring, Samples, Surrogate
 from qdenv.types import Encoding
 
 SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}

@@ -23,26 +23,11 @@ makes it, paired in an `Entry`: register it (`qdenv.DOMAINS.register(name, entry
 an entry point of your package, so that the `qdenv` command knows it too.
 """
 
-import sys
-from types import ModuleType
-
 import lazy_loader
 
 # __init__.pyi lists the public names, which type checkers read as well. Each is imported when it is
 # first used: `import qdenv` alone is instant.
 _import, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-
-
-class _Package(ModuleType):
-    """`qdenv.simulate` is the command; `from qdenv.simulate import mapf` finds the stage."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Set an attribute, but not to the stage of its name, whose import would hide it."""
-        if not (name in __all__ and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> object:

@@ -6,13 +6,13 @@ from typing import Any
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.maze import EntropyMazeConfig, MazeConfig
 from qdenv.domains.warehouse import UnevenWarehouseConfig, WarehouseConfig
-from qdenv.generate import NcaConfig
+from qdenv.generators import NcaConfig
 from qdenv.run.config import RunConfig, choose_algorithm
 from qdenv.search.settings import DSAGE_PUBLISHED as DSAGE
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig, DsageConfig, MapElitesConfig
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf.settings import FleetConfig
-from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.types import look_up
 
 _SMALL_FLEET = FleetConfig(agents=60, timesteps=200)

@@ -17,7 +17,7 @@ import numpy as np
 from flax import linen as nn
 from jax.flatten_util import ravel_pytree
 
-from qdenv.generate import (
+from qdenv.generators import (
     Canvas,
     Drive,
     Generator,

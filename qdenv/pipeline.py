@@ -17,8 +17,8 @@ import numpy as np
 
 from qdenv import devices, mesh
 from qdenv.domains.base import Domain, Simulator, make_domain
-from qdenv.generate import GENERATORS, Generator
-from qdenv.repair.pool import RepairPool, repair_in_jit
+from qdenv.generators import GENERATORS, Generator
+from qdenv.repairs.pool import RepairPool, repair_in_jit
 from qdenv.score import similarity
 from qdenv.settings import EvaluationConfig
 from qdenv.types import Array, Evaluation, RepairStatus, Score

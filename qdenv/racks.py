@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from qdenv.generate import Canvas, Generator, RacksConfig, inside_frame
+from qdenv.generators import Canvas, Generator, RacksConfig, inside_frame
 from qdenv.types import InputError
 
 _SIZE = 12  # numbers of a solution

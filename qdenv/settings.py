@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from qdenv.domains.base import DOMAINS
-from qdenv.generate import GENERATORS
+from qdenv.generators import GENERATORS
 from qdenv.ranges import FiniteFloat, PositiveInt, Ranged
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.settings import RepairConfig
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.registry import Entry
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit
-from qdenv.simulate.mapf.goals import check_playable, tile_goal
-from qdenv.simulate.mapf.planner import Planner
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.goals import check_playable, tile_goal
+from qdenv.simulation.mapf.planner import Planner
+from qdenv.simulation.mapf.settings import PLANNERS
 from qdenv.types import InputError, TaskRule, Traffic
 
 TILES = ".#ew"

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.grid import parse
-from qdenv.simulate.mapf.negotiated.settings import COST_UNIT, MOVE_UNIT
-from qdenv.simulate.mapf.planner import UNREACHABLE, UNREACHABLE_COST
+from qdenv.simulation.mapf.negotiated.settings import COST_UNIT, MOVE_UNIT
+from qdenv.simulation.mapf.planner import UNREACHABLE, UNREACHABLE_COST
 
 WINDOW = 6
 MOVES = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))

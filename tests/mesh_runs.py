@@ -10,14 +10,14 @@ import toy
 
 from qdenv.domains.maze import MazeConfig
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate import GuidedNcaConfig, NcaConfig
+from qdenv.generators import GuidedNcaConfig, NcaConfig
 from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.run.experiment import make_experiment, make_iteration
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 
 _NCA = NcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4)
 _PLANNER = PibtConfig(backend="xla")  # the quickest to compile

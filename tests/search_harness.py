@@ -11,7 +11,7 @@ from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.search.registry import ALGORITHMS, make_algorithm
 from qdenv.search.settings import DsageConfig, ScreenedConfig
-from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.types import Encoding, Measure, Score
 
 DIM = 12

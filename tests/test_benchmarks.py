@@ -10,7 +10,7 @@ import qdenv
 from experiments.benchmarks import common, search
 from experiments.benchmarks.simulation import simulate
 from experiments.benchmarks.training import shortest_time
-from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogates.settings import SurrogateConfig
 
 pytestmark = pytest.mark.slow
 

@@ -18,7 +18,7 @@ from qdenv.cli import main as cli
 from qdenv.cli.main import COMMANDS
 from qdenv.domains.base import DOMAINS
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulation.mapf.settings import PLANNERS
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").rglob("*.md"))]

@@ -12,7 +12,7 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout, write_layout
 from qdenv.ops.layouts import list_symbols
-from qdenv.repair import recipe
+from qdenv.repairs import recipe
 
 PAGE = Path(__file__).parents[1] / "notebooks" / "how_to" / "layout_files.md"
 TILES = ".@ew"

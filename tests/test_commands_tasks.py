@@ -15,8 +15,8 @@ from qdenv.ops.studies import compare
 from qdenv.ops.traffic import simulate
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf.audit import audit
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import read_plan, resolve_plan, with_tasks
 from qdenv.types import InputError

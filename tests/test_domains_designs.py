@@ -10,7 +10,7 @@ import pytest
 from qdenv import grid
 from qdenv.domains import designs
 from qdenv.domains.base import DOMAINS, Domain, find_domain
-from qdenv.repair.audit import audit
+from qdenv.repairs.audit import audit
 from qdenv.types import InputError
 
 FIGURE_18 = [(33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102)]

@@ -15,10 +15,10 @@ from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.hall import HallConfig
 from qdenv.grid import draw, parse
 from qdenv.io.layouts import read_layout
-from qdenv.repair.audit import audit
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.settings import RepairConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.repairs.audit import audit
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.settings import RepairConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.elites import tile
 from qdenv.study.plans import read_plan, with_tasks
 from qdenv.types import InputError

@@ -11,10 +11,10 @@ from qdenv.cli import main as cli
 from qdenv.configurations import PRESETS
 from qdenv.domains.base import Domain, environment_entropy, find_domain, make_domain
 from qdenv.grid import draw, parse
-from qdenv.repair.audit import audit
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import impossible
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.audit import audit
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.rules import impossible
+from qdenv.repairs.settings import RepairConfig
 from qdenv.run import loop
 from qdenv.run.config import config_from_json, config_to_json
 from qdenv.study.plans import keep_from

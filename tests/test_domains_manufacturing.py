@@ -13,11 +13,11 @@ from qdenv.configurations import find_preset
 from qdenv.domains.base import find_domain
 from qdenv.domains.manufacturing import TILES, ManufacturingConfig, rules
 from qdenv.nca import make_automaton, seed_canvas
-from qdenv.repair.anneal.loop import anneal
-from qdenv.repair.audit import audit
-from qdenv.repair.rules import Facts
+from qdenv.repairs.anneal.loop import anneal
+from qdenv.repairs.audit import audit
+from qdenv.repairs.rules import Facts
 from qdenv.score import similarity
-from qdenv.simulate.mapf import planner
+from qdenv.simulation.mapf import planner
 
 DOMAIN = find_domain("manufacturing")
 GOOD = ["..e..", ".e0e.", "..e..", "e1.2e", ".e.e."]

@@ -62,7 +62,7 @@ def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
     from qdenv.run.config import choose_algorithm
     from qdenv.run.loop import train
     from qdenv.search.settings import ScreenedConfig
-    from qdenv.surrogate.settings import SurrogateConfig
+    from qdenv.surrogates.settings import SurrogateConfig
 
     tiny = SurrogateConfig(channels=4, epochs=1, minibatch=8, samples=64)
     search = ScreenedConfig(emitters=2, batch=4, screen=1, refit=1000, surrogate=tiny)

@@ -36,7 +36,7 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import draw as draw_rows
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.simulate.maze.world import longest_path
+from qdenv.simulation.maze.world import longest_path
 from qdenv.stats import wilson_interval
 from qdenv.study import elites as sizes
 from qdenv.study.engine import run_seeds

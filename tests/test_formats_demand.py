@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 from qdenv.grid import parse
 from qdenv.io.demand import read_demand
-from qdenv.simulate.mapf.goals import rows_of_odds, station_goal, tile_goal, weigh
-from qdenv.simulate.mapf.planner import draw_goals, goal_table
+from qdenv.simulation.mapf.goals import rows_of_odds, station_goal, tile_goal, weigh
+from qdenv.simulation.mapf.planner import draw_goals, goal_table
 from qdenv.types import Goal, InputError, TaskRule
 
 TILES = ".@ewio"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.generate import GENERATORS, Canvas, DirectConfig
+from qdenv.generators import GENERATORS, Canvas, DirectConfig
 
 DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing", "maze-walls", "maze-entropy")
 

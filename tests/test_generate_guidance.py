@@ -9,16 +9,16 @@ import pytest
 from small_warehouse import ROWS
 
 from qdenv.domains.base import find_domain, make_domain
-from qdenv.generate import GENERATORS, CostsConfig, GuidedNcaConfig, NcaConfig, UpdateConfig
+from qdenv.generators import GENERATORS, CostsConfig, GuidedNcaConfig, NcaConfig, UpdateConfig
 from qdenv.grid import RIGHT, WAIT, of_tiles, parse
 from qdenv.guidance import crisscross, existing_moves, fixed_costs, scaled_costs
 from qdenv.nca import add_channels
 from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.run.evaluate import Threads
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.engine import run_seeds
 from qdenv.types import Floor, InputError
 

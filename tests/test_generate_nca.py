@@ -9,7 +9,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from qdenv.domains.base import find_domain
-from qdenv.generate import Canvas, NcaConfig, choose_tiles, inside_frame
+from qdenv.generators import Canvas, NcaConfig, choose_tiles, inside_frame
 from qdenv.grid import draw
 from qdenv.nca import NCA, make_automaton, nca, round_weights, seed_canvas
 from qdenv.types import InputError

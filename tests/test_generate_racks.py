@@ -6,7 +6,7 @@ import pytest
 
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.hall import HallConfig
-from qdenv.generate import GENERATORS, Canvas, RacksConfig
+from qdenv.generators import GENERATORS, Canvas, RacksConfig
 from qdenv.grid import draw
 from qdenv.racks import walk
 from qdenv.types import InputError

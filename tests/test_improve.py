@@ -9,7 +9,7 @@ import pytest
 import qdenv
 from qdenv.cli.main import run
 from qdenv.domains.base import make_domain
-from qdenv.repair.audit import audit
+from qdenv.repairs.audit import audit
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import Difference
 from qdenv.study import improve as studies

@@ -14,7 +14,7 @@ import pytest
 
 from qdenv.agent.convert import from_torch, read_checkpoint
 from qdenv.ops.networks import convert_agent
-from qdenv.simulate.maze.policy import Weights, load_weights
+from qdenv.simulation.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 
 DATA = Path(__file__).parent / "data" / "maze"

@@ -14,7 +14,7 @@ from qdenv.grid import parse
 from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, evaluate, make_pipeline, score_layout, simulate_layouts
 from qdenv.score import entropy
-from qdenv.simulate.maze.policy import draw_weights
+from qdenv.simulation.maze.policy import draw_weights
 from qdenv.types import RepairStatus
 
 pytestmark = pytest.mark.slow

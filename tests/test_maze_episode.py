@@ -11,9 +11,9 @@ import pytest
 from qdenv.agent.convert import from_torch
 from qdenv.agent.train import save_weights
 from qdenv.grid import parse
-from qdenv.simulate.maze import episode as maze
-from qdenv.simulate.maze import policy
-from qdenv.simulate.maze.episode import FIRST_HEADINGS, reference_episodes
+from qdenv.simulation.maze import episode as maze
+from qdenv.simulation.maze import policy
+from qdenv.simulation.maze.episode import FIRST_HEADINGS, reference_episodes
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

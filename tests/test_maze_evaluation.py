@@ -21,7 +21,7 @@ from qdenv.agent.evaluate import (
 )
 from qdenv.cli.main import run
 from qdenv.io.layouts import read_layout
-from qdenv.simulate.maze.policy import load_weights
+from qdenv.simulation.maze.policy import load_weights
 from qdenv.types import InputError
 from qdenv.view.layouts import COLOURS, MARKS
 from qdenv.view.layouts import draw_mazes as draw_panels

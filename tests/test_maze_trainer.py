@@ -16,9 +16,9 @@ import pytest
 from qdenv.agent import levels, ppo
 from qdenv.agent.settings import Method, TrainConfig
 from qdenv.agent.train import choose, load_state, save_weights, start, train_agent, update
-from qdenv.simulate.maze import policy
-from qdenv.simulate.maze.policy import Memory, draw_weights, load_weights
-from qdenv.simulate.maze.world import GOAL, WALL
+from qdenv.simulation.maze import policy
+from qdenv.simulation.maze.policy import Memory, draw_weights, load_weights
+from qdenv.simulation.maze.world import GOAL, WALL
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from qdenv.grid import parse
 from qdenv.score import entropy
-from qdenv.simulate.maze import world
+from qdenv.simulation.maze import world
 
 DATA = Path(__file__).parent / "data" / "maze"
 measure = jax.jit(world.longest_path)

@@ -11,7 +11,7 @@ from browser import opened
 import qdenv
 from qdenv.cli.main import run as command
 from qdenv.domains.base import make_domain
-from qdenv.generate import GENERATORS, GuidedNcaConfig
+from qdenv.generators import GENERATORS, GuidedNcaConfig
 from qdenv.io.arrays import write_arrays
 from qdenv.run.directory import RunDirectory
 from qdenv.study.elites import grow_series, make_grower, spread
@@ -346,7 +346,7 @@ def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_
     domain, solutions = make_domain(config.domain), small_run.archive.columns["solution"][:2]
     steps, grow = make_grower(config, domain)
     whole = grow(solutions)
-    from qdenv.generate import GENERATORS
+    from qdenv.generators import GENERATORS
 
     made = GENERATORS.make
     monkeypatch.setattr(

@@ -13,7 +13,7 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.guidance import crisscross
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.recordings import record_fleet, trace_agent
 from qdenv.types import InputError

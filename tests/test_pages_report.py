@@ -16,8 +16,8 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.guidance import crisscross
 from qdenv.io.layouts import write_layout
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.elites import human_layout
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.table import Row, decide

@@ -15,7 +15,7 @@ from qdenv.grid import parse
 from qdenv.run import loop
 from qdenv.run.archive import best_row
 from qdenv.run.directory import RunDirectory
-from qdenv.simulate.maze.world import longest_path
+from qdenv.simulation.maze.world import longest_path
 from qdenv.types import Measure
 from qdenv.view.archive import draw_archive, scatter_objectives
 from qdenv.view.layouts import draw_marks

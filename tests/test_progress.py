@@ -66,7 +66,7 @@ def test_functions_that_numba_compiles_are_named_meanwhile(quick, capsys):
     def anneal(number):
         return number + 1
 
-    anneal.__module__ = "qdenv.repair.anneal.moves"
+    anneal.__module__ = "qdenv.repairs.anneal.moves"
     with Bar("repairing", shown=True) as bar:
         wait_for("repairing", capsys)
         assert numba.njit(anneal)(1) == 2

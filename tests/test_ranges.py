@@ -10,7 +10,7 @@ from annotated_types import Interval
 
 from qdenv.agent.settings import LevelConfig, PPOConfig, RewardConfig, TrainConfig
 from qdenv.domains.base import DOMAINS
-from qdenv.generate import GENERATORS
+from qdenv.generators import GENERATORS
 from qdenv.ranges import (
     FiniteFloat,
     NonNegativeInt,
@@ -21,12 +21,12 @@ from qdenv.ranges import (
     Share,
     check_range,
 )
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.settings import RepairConfig
 from qdenv.run.config import RunConfig
 from qdenv.search.registry import ALGORITHMS
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
-from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.simulation.mapf.settings import PLANNERS, FleetConfig
+from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.types import InputError
 
 WITHIN = [

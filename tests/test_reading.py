@@ -16,7 +16,7 @@ from qdenv.io.arrays import Column, read_arrays, read_state, write_arrays, write
 from qdenv.io.files import read_text
 from qdenv.io.records import parse_json, read_json, structured
 from qdenv.io.tables import read_table
-from qdenv.simulate.maze.policy import SHIPPED_AGENT, load_weights
+from qdenv.simulation.maze.policy import SHIPPED_AGENT, load_weights
 from qdenv.types import DamagedError, InputError
 
 ARRAYS = {

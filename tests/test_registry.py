@@ -6,10 +6,10 @@ import pytest
 
 from qdenv import devices
 from qdenv.domains.base import DOMAINS, find_domain
-from qdenv.generate import GENERATORS
+from qdenv.generators import GENERATORS
 from qdenv.registry import Entry, Registry
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulation.mapf.settings import PLANNERS
 from qdenv.types import InputError
 
 

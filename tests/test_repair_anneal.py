@@ -10,13 +10,13 @@ from scipy import ndimage
 
 from qdenv.domains.base import find_domain
 from qdenv.native import kernel
-from qdenv.repair.anneal.connectivity import RING_PIECES, join_pieces, may_close
-from qdenv.repair.anneal.loop import anneal, anneal_periods
-from qdenv.repair.anneal.packing import draw_templates
-from qdenv.repair.anneal.start import compile_board, initial_covers, initial_state, project
-from qdenv.repair.anneal.state import MOST, AnnealState, Board, Move, Schedule, Trait
-from qdenv.repair.audit import audit
-from qdenv.repair.rules import Facts
+from qdenv.repairs.anneal.connectivity import RING_PIECES, join_pieces, may_close
+from qdenv.repairs.anneal.loop import anneal, anneal_periods
+from qdenv.repairs.anneal.packing import draw_templates
+from qdenv.repairs.anneal.start import compile_board, initial_covers, initial_state, project
+from qdenv.repairs.anneal.state import MOST, AnnealState, Board, Move, Schedule, Trait
+from qdenv.repairs.audit import audit
+from qdenv.repairs.rules import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
 
 

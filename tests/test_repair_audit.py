@@ -7,8 +7,8 @@ import pytest
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
-from qdenv.repair.audit import audit
-from qdenv.repair.rules import Facts, bound_cost, impossible
+from qdenv.repairs.audit import audit
+from qdenv.repairs.rules import Facts, bound_cost, impossible
 from qdenv.types import Adjacency, Count, Rules
 
 TILES = ".@ew"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from qdenv.domains.base import find_domain
-from qdenv.repair import pool as pools
-from qdenv.repair.audit import audit
-from qdenv.repair.pool import RepairPool, repair_in_jit
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs import pool as pools
+from qdenv.repairs.audit import audit
+from qdenv.repairs.pool import RepairPool, repair_in_jit
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.settings import RepairConfig
 from qdenv.types import RepairStatus
 
 RULES = find_domain("warehouse-even").resized(8, 12, {"shelves": 12}).rules()

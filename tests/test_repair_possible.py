@@ -8,14 +8,14 @@ from scipy import ndimage
 from small_yard import yard
 
 from qdenv.domains.base import find_domain
-from qdenv.repair.anneal import packing
-from qdenv.repair.anneal.packing import draw_templates, pack, pack_moves, start_packing
-from qdenv.repair.audit import audit
-from qdenv.repair.milp import feasibility
-from qdenv.repair.milp.feasibility import explain, find_possible
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import Facts, impossible
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.anneal import packing
+from qdenv.repairs.anneal.packing import draw_templates, pack, pack_moves, start_packing
+from qdenv.repairs.audit import audit
+from qdenv.repairs.milp import feasibility
+from qdenv.repairs.milp.feasibility import explain, find_possible
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.rules import Facts, impossible
+from qdenv.repairs.settings import RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
 
 pytestmark = pytest.mark.slow

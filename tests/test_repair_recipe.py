@@ -10,14 +10,14 @@ from small_yard import yard
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import read_layout
-from qdenv.repair import recipe
-from qdenv.repair.audit import audit
-from qdenv.repair.milp.highs import new_solver, separate
-from qdenv.repair.milp.program import build, decode, encode
-from qdenv.repair.milp.windows import WindowSearch
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import Facts, impossible
-from qdenv.repair.settings import MOVES_PER_CELL, RepairConfig
+from qdenv.repairs import recipe
+from qdenv.repairs.audit import audit
+from qdenv.repairs.milp.highs import new_solver, separate
+from qdenv.repairs.milp.program import build, decode, encode
+from qdenv.repairs.milp.windows import WindowSearch
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.rules import Facts, impossible
+from qdenv.repairs.settings import MOVES_PER_CELL, RepairConfig
 from qdenv.types import InputError, RepairStatus, Rules
 
 FULL = RepairConfig("full", moves_per_cell=300)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from experiments.benchmarks.repair import FLEETS, SIZE, mutated_tiles, random_tiles, rules_at_size
-from qdenv.repair.anneal.loop import anneal
-from qdenv.repair.audit import audit
-from qdenv.repair.pool import RepairPool
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import Facts, bound_cost
+from qdenv.repairs.anneal.loop import anneal
+from qdenv.repairs.audit import audit
+from qdenv.repairs.pool import RepairPool
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.rules import Facts, bound_cost
 from qdenv.types import RepairStatus, Rules
 
 SMALL = (17, 16)

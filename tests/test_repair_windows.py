@@ -8,11 +8,11 @@ from scipy import ndimage
 from small_yard import yard
 
 from qdenv.domains.base import find_domain
-from qdenv.repair.anneal.loop import anneal
-from qdenv.repair.audit import audit
-from qdenv.repair.milp import windows
-from qdenv.repair.milp.windows import WindowSearch, stays_connected
-from qdenv.repair.rules import Facts
+from qdenv.repairs.anneal.loop import anneal
+from qdenv.repairs.audit import audit
+from qdenv.repairs.milp import windows
+from qdenv.repairs.milp.windows import WindowSearch, stays_connected
+from qdenv.repairs.rules import Facts
 from qdenv.types import Rules
 
 

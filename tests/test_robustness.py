@@ -10,9 +10,9 @@ from robustness import campaign, fleets, repairs
 from robustness.campaign import Attack, Attempt
 
 import qdenv
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import Facts
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.rules import Facts
+from qdenv.repairs.settings import RepairConfig
 from qdenv.types import Floor, RepairStatus
 
 pytestmark = pytest.mark.slow

@@ -16,7 +16,7 @@ from qdenv import InputError
 from qdenv.agent.convert import read_checkpoint
 from qdenv.io.arrays import read_arrays
 from qdenv.io.layouts import read_drawing
-from qdenv.simulate.maze.policy import SHIPPED_AGENT, load_weights
+from qdenv.simulation.maze.policy import SHIPPED_AGENT, load_weights
 
 pytestmark = pytest.mark.slow
 

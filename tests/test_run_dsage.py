@@ -11,7 +11,7 @@ from qdenv.run.directory import NOTES, RunDirectory
 from qdenv.run.loop import resume, train
 from qdenv.search.settings import CmaEsConfig, DsageConfig, ScreenedConfig
 from qdenv.study.elites import grow_elite
-from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

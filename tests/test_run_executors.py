@@ -13,7 +13,7 @@ from experiments.ledger import Case, complete, read_runs
 from qdenv import interrupt
 from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
-from qdenv.repair import pool as pools
+from qdenv.repairs import pool as pools
 from qdenv.run import evaluate, executors, loop
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import ClusterExecutor, Execution, WrongWorkerError, versions

@@ -7,7 +7,7 @@ import pytest
 from qdenv.configurations import PRESETS
 from qdenv.domains.maze import MazeConfig
 from qdenv.run.config import check, scale
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import InputError
 
 QUICK, LAPTOP, MAZE = PRESETS["quick"], PRESETS["laptop"], PRESETS["maze-walls"]

@@ -13,8 +13,8 @@ from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
 from qdenv.run.evaluate import Threads
 from qdenv.run.experiment import observed
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.simulate.mapf.fleet import FleetConfig
-from qdenv.simulate.mapf.negotiated.settings import LOW
+from qdenv.simulation.mapf.fleet import FleetConfig
+from qdenv.simulation.mapf.negotiated.settings import LOW
 
 pytestmark = pytest.mark.slow
 

@@ -25,7 +25,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Threads
 from qdenv.run.experiment import make_experiment, make_iteration, observed
 from qdenv.shipped import HOME
-from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulation.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus
 
 pytestmark = pytest.mark.slow

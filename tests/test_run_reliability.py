@@ -21,7 +21,7 @@ from qdenv.run import loop
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.simulate.maze.policy import load_weights
+from qdenv.simulation.maze.policy import load_weights
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

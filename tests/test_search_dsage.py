@@ -13,7 +13,7 @@ from qdenv.search import base
 from qdenv.search.base import Problem
 from qdenv.search.dsage import dsage
 from qdenv.search.settings import DsageConfig
-from qdenv.surrogate.settings import SurrogateConfig
+from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.types import Encoding, InputError, Measure, Score
 
 pytestmark = pytest.mark.slow

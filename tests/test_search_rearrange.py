@@ -9,7 +9,7 @@ import pytest
 from small_warehouse import ROWS, TILES
 
 from qdenv.domains.base import find_domain, make_domain
-from qdenv.generate import DirectConfig
+from qdenv.generators import DirectConfig
 from qdenv.grid import parse
 from qdenv.run.config import RunConfig
 from qdenv.run.experiment import make_experiment

@@ -9,15 +9,15 @@ import pytest
 from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, programs, random_layout
 
 from qdenv.domains.base import find_domain
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.host import run as host_run
-from qdenv.simulate.mapf.host.distances import empty_fields
-from qdenv.simulate.mapf.host.state import make_run
-from qdenv.simulate.mapf.negotiated.settings import LOW, NegotiatedConfig
-from qdenv.simulate.mapf.pibt import numba as pibt_on_host
-from qdenv.simulate.mapf.pibt import planner as pibt_in_xla
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.planner import NOBODY
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.host import run as host_run
+from qdenv.simulation.mapf.host.distances import empty_fields
+from qdenv.simulation.mapf.host.state import make_run
+from qdenv.simulation.mapf.negotiated.settings import LOW, NegotiatedConfig
+from qdenv.simulation.mapf.pibt import numba as pibt_on_host
+from qdenv.simulation.mapf.pibt import planner as pibt_in_xla
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.planner import NOBODY
 from qdenv.study.engine import _program
 from qdenv.types import InputError
 

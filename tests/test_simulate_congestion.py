@@ -9,9 +9,9 @@ import pytest
 from fleet_runs import PLAIN, TILES, StandConfig, programs, random_layout, run_audited
 
 from qdenv.grid import parse
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit
-from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.negotiated.settings import NegotiatedConfig
 
 pytestmark = pytest.mark.slow
 

@@ -6,10 +6,10 @@ import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 
-from qdenv.simulate.mapf.distances import goal_distances
-from qdenv.simulate.mapf.host.distances import DistanceFields, distance, empty_fields, make_room
-from qdenv.simulate.mapf.host.state import GridMap, move_steps
-from qdenv.simulate.mapf.planner import UNREACHABLE
+from qdenv.simulation.mapf.distances import goal_distances
+from qdenv.simulation.mapf.host.distances import DistanceFields, distance, empty_fields, make_room
+from qdenv.simulation.mapf.host.state import GridMap, move_steps
+from qdenv.simulation.mapf.planner import UNREACHABLE
 
 SHAPES = {"one page": (30, 41), "many pages": (90, 75)}
 GOALS = 12

@@ -10,10 +10,10 @@ import pytest
 from fleet_runs import PLAIN, SERVICES, TILES, programs, random_layout
 
 from qdenv.grid import MOVES, parse
-from qdenv.simulate.mapf.audit import check_moves, replay_tasks
-from qdenv.simulate.mapf.environment import DOWN, LEFT, RIGHT, UP, WAIT, Environment, settle
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.audit import check_moves, replay_tasks
+from qdenv.simulation.mapf.environment import DOWN, LEFT, RIGHT, UP, WAIT, Environment, settle
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

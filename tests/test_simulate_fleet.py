@@ -24,13 +24,13 @@ from fleet_runs import (
 
 from qdenv.grid import parse
 from qdenv.registry import Entry
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.goals import beside_goal, check_playable, tile_goal
-from qdenv.simulate.mapf.negotiated.settings import NegotiatedConfig
-from qdenv.simulate.mapf.pibt.planner import rollout
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.planner import Planner, draw_goals, goal_table
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.goals import beside_goal, check_playable, tile_goal
+from qdenv.simulation.mapf.negotiated.settings import NegotiatedConfig
+from qdenv.simulation.mapf.pibt.planner import rollout
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.planner import Planner, draw_goals, goal_table
+from qdenv.simulation.mapf.settings import PLANNERS
 from qdenv.types import InputError, TaskRule
 
 pytestmark = pytest.mark.slow

@@ -16,17 +16,17 @@ from scipy.sparse.csgraph import dijkstra
 
 from qdenv.grid import LEFT, NUM_MOVES, WAIT, move_steps, of_tiles, parse
 from qdenv.guidance import crisscross, existing_moves, fixed_costs
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit
-from qdenv.simulate.mapf.distances import goal_costs
-from qdenv.simulate.mapf.goals import tile_goal
-from qdenv.simulate.mapf.host.distances import distance, empty_fields
-from qdenv.simulate.mapf.host.state import grid_map
-from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
-from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.planner import UNREACHABLE_COST
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.distances import goal_costs
+from qdenv.simulation.mapf.goals import tile_goal
+from qdenv.simulation.mapf.host.distances import distance, empty_fields
+from qdenv.simulation.mapf.host.state import grid_map
+from qdenv.simulation.mapf.negotiated.settings import HIGH, LOW
+from qdenv.simulation.mapf.pbs.settings import PbsConfig
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.planner import UNREACHABLE_COST
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.engine import _program
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError, TaskRule, Traffic

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from qdenv.grid import UP
-from qdenv.simulate.mapf.negotiated import rules
+from qdenv.simulation.mapf.negotiated import rules
 
 CASES = 40
 SIDE, LEVELS = 21, 3

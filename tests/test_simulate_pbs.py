@@ -21,14 +21,14 @@ from pbs_oracle import (
     some_choice_works,
 )
 
-from qdenv.simulate.mapf.host.distances import empty_fields
-from qdenv.simulate.mapf.host.run import run_to_the_end
-from qdenv.simulate.mapf.host.state import HostRun, RunSettings, make_run
-from qdenv.simulate.mapf.metrics import Block
-from qdenv.simulate.mapf.pbs.planner import collect_goals, pbs, solve
-from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
-from qdenv.simulate.mapf.planner import GoalTable, World, pad
+from qdenv.simulation.mapf.host.distances import empty_fields
+from qdenv.simulation.mapf.host.run import run_to_the_end
+from qdenv.simulation.mapf.host.state import HostRun, RunSettings, make_run
+from qdenv.simulation.mapf.metrics import Block
+from qdenv.simulation.mapf.pbs.planner import collect_goals, pbs, solve
+from qdenv.simulation.mapf.pbs.settings import PbsConfig
+from qdenv.simulation.mapf.pbs.workspace import Workspace, make_workspace
+from qdenv.simulation.mapf.planner import GoalTable, World, pad
 
 pytestmark = pytest.mark.slow
 

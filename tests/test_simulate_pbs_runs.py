@@ -11,14 +11,14 @@ from fleet_runs import PLAIN, SERVICES, random_layout
 
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit
-from qdenv.simulate.mapf.host import run as host_run
-from qdenv.simulate.mapf.host.distances import DistanceFields, empty_fields
-from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.pbs import planner as pbs_planner
-from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.pbs.workspace import Workspace, make_workspace
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.host import run as host_run
+from qdenv.simulation.mapf.host.distances import DistanceFields, empty_fields
+from qdenv.simulation.mapf.metrics import Recording
+from qdenv.simulation.mapf.pbs import planner as pbs_planner
+from qdenv.simulation.mapf.pbs.settings import PbsConfig
+from qdenv.simulation.mapf.pbs.workspace import Workspace, make_workspace
 from qdenv.study.engine import run_seeds
 from qdenv.types import TaskRule, Traffic
 

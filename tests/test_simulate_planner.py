@@ -22,18 +22,18 @@ from mapf_oracle import (
 )
 
 from qdenv.grid import parse
-from qdenv.simulate.mapf.distances import goal_distances
-from qdenv.simulate.mapf.host.distances import empty_fields
-from qdenv.simulate.mapf.host.state import GridMap, grid_map
-from qdenv.simulate.mapf.negotiated.numba import search as host_search
-from qdenv.simulate.mapf.negotiated.numba.search import Agent, find_path
-from qdenv.simulate.mapf.negotiated.numba.states import make_arrays
-from qdenv.simulate.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
-from qdenv.simulate.mapf.negotiated.xla.rounds import add_paths, choose, pack
-from qdenv.simulate.mapf.negotiated.xla.search import find_paths
-from qdenv.simulate.mapf.negotiated.xla.window import STRIDE, around, gather
-from qdenv.simulate.mapf.planner import UNREACHABLE, AgentState, GoalTable, World
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulation.mapf.distances import goal_distances
+from qdenv.simulation.mapf.host.distances import empty_fields
+from qdenv.simulation.mapf.host.state import GridMap, grid_map
+from qdenv.simulation.mapf.negotiated.numba import search as host_search
+from qdenv.simulation.mapf.negotiated.numba.search import Agent, find_path
+from qdenv.simulation.mapf.negotiated.numba.states import make_arrays
+from qdenv.simulation.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
+from qdenv.simulation.mapf.negotiated.xla.rounds import add_paths, choose, pack
+from qdenv.simulation.mapf.negotiated.xla.search import find_paths
+from qdenv.simulation.mapf.negotiated.xla.window import STRIDE, around, gather
+from qdenv.simulation.mapf.planner import UNREACHABLE, AgentState, GoalTable, World
+from qdenv.simulation.mapf.settings import PLANNERS
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qdenv.simulate import __doc__ as rules
-from qdenv.simulate.mapf.audit import check_moves, jammed_windows, replay_tasks
-from qdenv.simulate.mapf.fleet import FleetConfig, drive, place, prepare, run_settings
-from qdenv.simulate.mapf.goals import tile_goal
-from qdenv.simulate.mapf.host.state import drive_window, make_run
-from qdenv.simulate.mapf.metrics import Block
-from qdenv.simulate.mapf.planner import pad, serve, unpad
+from qdenv.simulation import __doc__ as rules
+from qdenv.simulation.mapf.audit import check_moves, jammed_windows, replay_tasks
+from qdenv.simulation.mapf.fleet import FleetConfig, drive, place, prepare, run_settings
+from qdenv.simulation.mapf.goals import tile_goal
+from qdenv.simulation.mapf.host.state import drive_window, make_run
+from qdenv.simulation.mapf.metrics import Block
+from qdenv.simulation.mapf.planner import pad, serve, unpad
 from qdenv.types import TaskRule
 
 TILES = ".#12"

@@ -10,13 +10,13 @@ import pytest
 from fleet_runs import programs
 
 from qdenv.grid import of_tiles, parse
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.audit import audit
-from qdenv.simulate.mapf.environment import WAIT, Environment
-from qdenv.simulate.mapf.goals import tile_goal
-from qdenv.simulate.mapf.negotiated.settings import LOW
-from qdenv.simulate.mapf.pbs.settings import PbsConfig
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.environment import WAIT, Environment
+from qdenv.simulation.mapf.goals import tile_goal
+from qdenv.simulation.mapf.negotiated.settings import LOW
+from qdenv.simulation.mapf.pbs.settings import PbsConfig
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.types import Goal, TaskRule
 
 TILES = ".#eio"

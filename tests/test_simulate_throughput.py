@@ -13,8 +13,8 @@ import pytest
 import qdenv
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.negotiated.settings import LOW
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.negotiated.settings import LOW
 from qdenv.study.engine import run_seeds
 
 pytestmark = pytest.mark.slow

@@ -5,7 +5,7 @@ from scipy import ndimage
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import LEFT, RIGHT, parse
-from qdenv.repair.audit import audit
+from qdenv.repairs.audit import audit
 from qdenv.study.diagnosis import cut_off, dead_ends, diagnose, narrow_aisles
 from qdenv.study.plans import Plan
 from qdenv.view.diagnosis import draw_diagnosis

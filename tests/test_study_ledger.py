@@ -8,7 +8,7 @@ from experiments.agreement import agree, correlate
 from experiments.ledger import Case, Run, complete, outcomes_of, read_runs, seconds_for
 from qdenv.domains.base import find_domain
 from qdenv.io.files import write_csv
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study import engine
 from qdenv.types import InputError, Traffic
 

@@ -6,7 +6,7 @@ from small_warehouse import ROWS, TILES
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import MOST_SHOWN, map_run, record_fleet, trace_agent

@@ -15,18 +15,18 @@ from qdenv.cli import main as cli
 from qdenv.domains.base import KnownSize, find_domain, make_domain
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.domains.warehouse import WarehouseConfig
-from qdenv.generate import GENERATORS, GuidedNcaConfig, NcaConfig
+from qdenv.generators import GENERATORS, GuidedNcaConfig, NcaConfig
 from qdenv.guidance import crisscross, existing_moves
 from qdenv.io.arrays import write_arrays
 from qdenv.io.layouts import read_layout, write_layout
 from qdenv.pipeline import EvaluationConfig, make_pipeline
-from qdenv.repair.audit import audit
-from qdenv.repair.pool import RepairPool
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.audit import audit
+from qdenv.repairs.pool import RepairPool
+from qdenv.repairs.settings import RepairConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import Shipped, named
-from qdenv.simulate.mapf.fleet import FleetConfig
+from qdenv.simulation.mapf.fleet import FleetConfig
 from qdenv.study import elites as sizes
 from qdenv.study.elites import grow_elite, grow_series, repair_grown
 from qdenv.study.plans import Plan, read_plan

@@ -27,8 +27,8 @@ from qdenv.study.surrogate import (
     split_elites,
     try_surrogate,
 )
-from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Ring, Samples, Surrogate
+from qdenv.surrogates.settings import SurrogateConfig
+from qdenv.surrogates.surrogate import Ring, Samples, Surrogate
 from qdenv.types import Encoding, InputError
 
 pytestmark = pytest.mark.slow

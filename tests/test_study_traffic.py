@@ -8,8 +8,8 @@ import pytest
 import qdenv
 from qdenv.domains.base import find_domain
 from qdenv.grid import move_steps, parse
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import FleetConfig, find_planner
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import FleetConfig, find_planner
 from qdenv.study import traffic
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import Plan
@@ -245,7 +245,7 @@ def test_compiling_is_not_counted_as_simulating(monkeypatch):
 
 def test_one_long_run_reports_its_progress(monkeypatch):
     """The run waits for the reports of its steps, so the load of the machine does not matter."""
-    from qdenv.simulate.mapf.host import run as host
+    from qdenv.simulation.mapf.host import run as host
     from qdenv.study import engine
 
     reports, seen = [], threading.Semaphore(0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from search_harness import QUICK
 
-from qdenv.surrogate.networks import LAYOUT, MapPredictor, ScorePredictor, convolve, fill_up
+from qdenv.surrogates.networks import LAYOUT, MapPredictor, ScorePredictor, convolve, fill_up
 
 
 def own(maps, kernel, stride):

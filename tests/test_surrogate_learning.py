@@ -9,8 +9,8 @@ import optax
 import pytest
 from search_harness import QUICK
 
-from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import (
+from qdenv.surrogates.settings import SurrogateConfig
+from qdenv.surrogates.surrogate import (
     STAGES,
     Learner,
     Ring,

@@ -8,9 +8,9 @@ from scipy.special import log_softmax, softmax
 from scipy.stats import entropy
 from search_harness import QUICK
 
-from qdenv.surrogate.networks import MapPredictor
-from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Ring, Samples, Surrogate, _scale, errors, usage_loss
+from qdenv.surrogates.networks import MapPredictor
+from qdenv.surrogates.settings import SurrogateConfig
+from qdenv.surrogates.surrogate import Ring, Samples, Surrogate, _scale, errors, usage_loss
 from qdenv.types import Encoding
 
 usage_loss, scale = jax.jit(usage_loss, static_argnums=2), jax.jit(_scale)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qdenv.surrogate.surrogate import Ring, Samples, shuffled
+from qdenv.surrogates.surrogate import Ring, Samples, shuffled
 
 SHAPE = (2, 3)
 

@@ -14,8 +14,8 @@ import pytest
 from qdenv import score
 from qdenv.grid import parse
 from qdenv.search.archive import GridArchive
-from qdenv.simulate.mapf.distances import goal_distances
-from qdenv.simulate.mapf.planner import UNREACHABLE
+from qdenv.simulation.mapf.distances import goal_distances
+from qdenv.simulation.mapf.planner import UNREACHABLE
 from qdenv.types import Measure
 
 pytestmark = pytest.mark.slow

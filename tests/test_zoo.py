@@ -14,7 +14,7 @@ import qdenv
 from qdenv.cli.main import run
 from qdenv.configurations import PRESETS
 from qdenv.domains.base import make_domain
-from qdenv.generate import GENERATORS
+from qdenv.generators import GENERATORS
 from qdenv.io.layouts import read_layout
 from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory

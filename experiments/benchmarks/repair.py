@@ -10,8 +10,8 @@ import numpy as np
 
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, save, show
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.settings import Polish, RepairConfig
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.settings import Polish, RepairConfig
 from qdenv.types import RepairStatus, Rules
 
 SMALL, SIZE, EVAL_SIZE = (17, 16), (33, 36), (101, 102)  # of the preset `quick`, S, S_eval

@@ -13,15 +13,15 @@ import numpy as np
 
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, best_of, save, show
-from qdenv.generate import DirectConfig
+from qdenv.generators import DirectConfig
 from qdenv.run.config import archive_axes
 from qdenv.run.experiment import problem_of
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.dsage import search_surrogate
 from qdenv.search.model import Model
 from qdenv.search.settings import DsageConfig
-from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
-from qdenv.surrogate.surrogate import Ring, Samples
+from qdenv.surrogates.settings import PUBLISHED, SurrogateConfig
+from qdenv.surrogates.surrogate import Ring, Samples
 
 GRID = (qdenv.Measure("x", -1, 1, 100), qdenv.Measure("y", -1, 1, 100))
 MAZE = (qdenv.Measure("walls", 0, 256, 256), qdenv.Measure("path length", 0, 648, 162))

@@ -18,9 +18,9 @@ import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, best_of, save, show
 from experiments.benchmarks.repair import grow_random, rules_at_size
 from qdenv.agent.evaluate import default_horizon, draw_mazes, run_alone, run_batch
-from qdenv.repair.recipe import repair_layout
-from qdenv.simulate.maze.policy import Weights, draw_weights, load_weights
-from qdenv.simulate.maze.world import longest_path
+from qdenv.repairs.recipe import repair_layout
+from qdenv.simulation.maze.policy import Weights, draw_weights, load_weights
+from qdenv.simulation.maze.world import longest_path
 from qdenv.study.elites import parse_size
 from qdenv.view.style import new_figure, save_figure
 

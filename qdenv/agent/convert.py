@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.io.arrays import open_zip
-from qdenv.simulate.maze.policy import Weights, check_weights
+from qdenv.simulation.maze.policy import Weights, check_weights
 from qdenv.types import InputError
 
 _MAX_MEMBER = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all

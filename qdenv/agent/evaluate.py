@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.progress import Progress, silent
-from qdenv.simulate.maze.episode import Episode, reference_episodes, run_episode, run_episodes
-from qdenv.simulate.maze.policy import Weights, prepare
-from qdenv.simulate.maze.world import WALL, longest_path
+from qdenv.simulation.maze.episode import Episode, reference_episodes, run_episode, run_episodes
+from qdenv.simulation.maze.policy import Weights, prepare
+from qdenv.simulation.maze.world import WALL, longest_path
 from qdenv.stats import standard_error, wilson_interval
 from qdenv.types import Array, InputError
 

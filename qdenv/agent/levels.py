@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.agent.settings import LevelConfig
-from qdenv.simulate.maze import world
-from qdenv.simulate.maze.world import EMPTY, GOAL, HEADINGS, REACH, WALL
+from qdenv.simulation.maze import world
+from qdenv.simulation.maze.world import EMPTY, GOAL, HEADINGS, REACH, WALL
 from qdenv.types import Array
 
 _LONGEST_PERIOD = 12  # of textures

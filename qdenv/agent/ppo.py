@@ -10,10 +10,10 @@ import optax
 
 from qdenv.agent.levels import Level
 from qdenv.agent.settings import PPOConfig
-from qdenv.simulate.maze import policy
-from qdenv.simulate.maze.episode import choose
-from qdenv.simulate.maze.policy import Memory, Weights
-from qdenv.simulate.maze.world import Pose, image, step, view
+from qdenv.simulation.maze import policy
+from qdenv.simulation.maze.episode import choose
+from qdenv.simulation.maze.policy import Memory, Weights
+from qdenv.simulation.maze.world import Pose, image, step, view
 
 _Learner: TypeAlias = tuple[Weights, optax.OptState]
 # The numbers of `RewardConfig` at one moment of the training: novelty, progress, haste.

@@ -18,8 +18,8 @@ from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn
 from qdenv.agent.settings import TrainConfig, refuse_second_training
 from qdenv.io.arrays import read_state, write_arrays, write_state
 from qdenv.io.files import locked, write_json
-from qdenv.simulate.maze import policy
-from qdenv.simulate.maze.policy import Weights, load_weights
+from qdenv.simulation.maze import policy
+from qdenv.simulation.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 
 _FACTS = "facts"

@@ -45,7 +45,7 @@ from qdenv.ops.options import (
 )
 from qdenv.registry import Registry
 from qdenv.shipped import PREFIX
-from qdenv.simulate.mapf.settings import PLANNERS, find_planner
+from qdenv.simulation.mapf.settings import PLANNERS, find_planner
 from qdenv.study.options import find_surrogate
 from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError, choices
@@ -200,7 +200,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     """Make an option for each setting of the chosen preset, and for each choice by name."""
     # Only a search needs these: other refusals are faster without them.
     from qdenv.configurations import find_preset
-    from qdenv.generate import GENERATORS
+    from qdenv.generators import GENERATORS
     from qdenv.run.config import (
         choose_algorithm,
         choose_domain,

@@ -12,12 +12,12 @@ import numpy as np
 import tyro
 
 from qdenv import devices, score
-from qdenv.generate import Canvas, inside_frame
+from qdenv.generators import Canvas, inside_frame
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged
 from qdenv.registry import Registry
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
 
 

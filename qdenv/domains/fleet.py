@@ -6,7 +6,7 @@ from typing import Any
 
 from qdenv.domains.base import Simulator
 from qdenv.lazy import jax, jnp
-from qdenv.simulate.mapf.settings import PLANNERS, FleetConfig
+from qdenv.simulation.mapf.settings import PLANNERS, FleetConfig
 from qdenv.types import Array, TaskRule, Traffic
 
 THROUGHPUT = "throughput [tasks per timestep]"
@@ -17,17 +17,17 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
 
     # The simulation is imported when it first runs: it loads both compilers.
     def prepare(layout: Array, costs: Array | None = None) -> Any:
-        from qdenv.simulate.mapf import fleet
+        from qdenv.simulation.mapf import fleet
 
         return fleet.prepare(layout, tasks, config, costs)
 
     def run(world: Any, key: jax.Array) -> Traffic:
-        from qdenv.simulate.mapf import fleet
+        from qdenv.simulation.mapf import fleet
 
         return fleet.simulate(world, key, config)
 
     def count_moves(world: Any, key: jax.Array) -> jax.Array:
-        from qdenv.simulate.mapf import fleet
+        from qdenv.simulation.mapf import fleet
 
         return fleet.count_moves(world, key, config)
 

@@ -19,8 +19,8 @@ from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.lazy import jax
 from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveInt, Stay, check_range
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import BY_SHELF, share_shelves, station_goal, tile_goal, weigh
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.goals import BY_SHELF, share_shelves, station_goal, tile_goal, weigh
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Adjacency, Count, Goal, InputError, Measure, Rules, TaskRule, Tile, Traffic
 
 GENERATED = ".@e"

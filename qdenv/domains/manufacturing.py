@@ -14,8 +14,8 @@ from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Stay
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import beside_goal
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.goals import beside_goal
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Adjacency, Count, Measure, Rules, TaskRule, Tile, Traffic
 
 TILES = ".012e"

@@ -11,8 +11,8 @@ from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import tile_goal, weigh
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.goals import tile_goal, weigh
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Measure, TaskRule, Tile, Traffic
 
 if TYPE_CHECKING:

@@ -12,15 +12,15 @@ import numpy as np
 
 from qdenv import devices, score
 from qdenv.domains.base import Domain, DomainConfig, KnownSize, Simulator, environment_entropy
-from qdenv.generate import inside_frame
+from qdenv.generators import inside_frame
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
-from qdenv.simulate.maze import policy, world
+from qdenv.simulation.maze import policy, world
 from qdenv.types import Measure, Tile
 
 if TYPE_CHECKING:
-    from qdenv.simulate.maze.episode import Episode
+    from qdenv.simulation.maze.episode import Episode
 
 _MARGIN = (1, 1)
 _MEANINGS = {
@@ -73,7 +73,7 @@ def _maze_simulator(config: MazeConfig) -> Simulator:
         return jax.tree.map(jnp.asarray, agent_weights(config.agent))
 
     def run(prepared: Any, key: jax.Array) -> Episode:
-        from qdenv.simulate.maze import episode  # late: it imports jax, which takes seconds
+        from qdenv.simulation.maze import episode  # late: it imports jax, which takes seconds
 
         loop = episode.until_done if devices.on_cpu() else episode.all_timesteps
         return episode.run_episode(weights(), prepared, key, config.timesteps, loop)

@@ -13,13 +13,13 @@ import numpy as np
 from qdenv.domains import designs
 from qdenv.domains.base import Domain, DomainConfig, KnownSize, environment_entropy
 from qdenv.domains.hall import GENERATED, storage
-from qdenv.generate import inside_frame
+from qdenv.generators import inside_frame
 from qdenv.grid import parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
-from qdenv.simulate.mapf.goals import favour_left, tile_goal
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.goals import favour_left, tile_goal
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Array, InputError, Rules, Tile
 
 _TILES = ".@ew"

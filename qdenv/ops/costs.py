@@ -28,8 +28,8 @@ from qdenv.ops.output import format_duration
 from qdenv.run.config import RunConfig, planner_of
 from qdenv.run.directory import Metrics
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulate.mapf.negotiated.settings import LOW
-from qdenv.simulate.mapf.settings import OWN, PLANNERS
+from qdenv.simulation.mapf.negotiated.settings import LOW
+from qdenv.simulation.mapf.settings import OWN, PLANNERS
 from qdenv.types import InputError
 
 _SEARCH = 0.012  # asking, telling, and what a small evaluation takes besides

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack, get_args
 import numpy as np
 from tyro.conf import arg
 
-from qdenv.generate import Base
+from qdenv.generators import Base
 from qdenv.guidance import unscaled_costs
 from qdenv.io.files import reserve
 from qdenv.ops import options as args
@@ -19,15 +19,15 @@ from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.simulate.mapf.pibt.settings import PibtConfig
-from qdenv.simulate.mapf.settings import describe_planner
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study import table as studies
 from qdenv.study.options import usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
-    from qdenv.simulate.mapf.settings import FleetConfig
+    from qdenv.simulation.mapf.settings import FleetConfig
 
 FILE, PICTURE, ROWS = "guidance.json", "guidance.png", "before_after.csv"  # in the run's folder
 _SHARES = (0.5, 0.75, 1.0, 1.25)  # of the number of agents, for which before and after are shown

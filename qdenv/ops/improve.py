@@ -23,7 +23,7 @@ from qdenv.ops.output import Layout, Table, format_table, say
 from qdenv.progress import Bar
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.simulate.mapf.settings import PLANNERS, describe_planner
+from qdenv.simulation.mapf.settings import PLANNERS, describe_planner
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file

@@ -24,9 +24,9 @@ from qdenv.ops.output import (
     say,
 )
 from qdenv.progress import Bar
-from qdenv.repair.audit import audit, check_allowed
-from qdenv.repair.rules import impossible
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.audit import audit, check_allowed
+from qdenv.repairs.rules import impossible
+from qdenv.repairs.settings import RepairConfig
 from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import (
@@ -39,7 +39,7 @@ from qdenv.study.plans import (
 from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:
-    from qdenv.simulate.mapf.environment import Environment, Observe
+    from qdenv.simulation.mapf.environment import Environment, Observe
 
 Polish = Literal["none", "quick", "full"]
 
@@ -188,8 +188,8 @@ def repair(
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
     say("{}: {} x {}, {}".format(name, *plan.layout.shape, plan.whose))
     # These import jax, a compiler and a solver: refusals are faster without them.
-    from qdenv.repair.milp.feasibility import explain
-    from qdenv.repair.recipe import repair_layout
+    from qdenv.repairs.milp.feasibility import explain
+    from qdenv.repairs.recipe import repair_layout
     from qdenv.score import similarity
 
     with Bar("repairing") as bar:
@@ -377,7 +377,7 @@ def make_environment(
     Raises:
         InputError: no fleet drives in this domain, or not on a layout, or their sizes differ.
     """
-    from qdenv.simulate.mapf.environment import Environment, observe_plainly  # imports jax
+    from qdenv.simulation.mapf.environment import Environment, observe_plainly  # imports jax
 
     one: Any = layout  # a list of lists is a layout, too
     several = type(one) in (list, tuple) and not isinstance(one[0], list)

@@ -143,7 +143,7 @@ def evaluate_agent(
     # These import jax: refusals are faster without it.
     from qdenv.agent.evaluate import compare_with_random, default_horizon
     from qdenv.agent.evaluate import evaluate_agent as measure_success
-    from qdenv.simulate.maze.policy import load_weights
+    from qdenv.simulation.maze.policy import load_weights
 
     maze, weights, seed = plan.layout, load_weights(episodes.agent), episodes.seed
     steps, runs = episodes.timesteps or default_horizon(maze), episodes.runs

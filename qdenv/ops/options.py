@@ -21,7 +21,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.ops.output import Layout
 from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt
-from qdenv.simulate.mapf.settings import (
+from qdenv.simulation.mapf.settings import (
     OWN,
     FleetConfig,
     check_costs,

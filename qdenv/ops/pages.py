@@ -13,7 +13,7 @@ from qdenv.ops import options as args
 from qdenv.ops.output import format_duration, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
-from qdenv.simulate.mapf.settings import OWN, PLANNERS, record_planner
+from qdenv.simulation.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import recordings as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan, name_guidance

@@ -17,7 +17,7 @@ from qdenv.ops.layouts import layout_human
 from qdenv.ops.output import AUTO, Layout, Place, place, place_folder, save_with_picture, say
 from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged
-from qdenv.repair.settings import Polish
+from qdenv.repairs.settings import Polish
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import file_name

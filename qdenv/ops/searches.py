@@ -24,7 +24,7 @@ from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors import Execution
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names
-from qdenv.simulate.mapf.settings import describe_planner
+from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study.keep import keep_from
 from qdenv.study.plans import resolve_plan, with_tasks
 from qdenv.types import InputError

@@ -13,7 +13,7 @@ import numpy as np
 from qdenv.ops import options as args
 from qdenv.ops.output import Table, place, place_table, say
 from qdenv.progress import Bar, Progress
-from qdenv.simulate.mapf.settings import PLANNERS, check_costs, record_planner
+from qdenv.simulation.mapf.settings import PLANNERS, check_costs, record_planner
 from qdenv.stats import Difference
 from qdenv.study import table as studies
 from qdenv.study.options import AGENTS, usual_fleet

@@ -13,7 +13,7 @@ from qdenv.io.trajectories import read_run, write_paths
 from qdenv.ops import options as args
 from qdenv.ops.output import PICTURES, Result, Table, format_table, place, say
 from qdenv.progress import Bar
-from qdenv.simulate.mapf.settings import describe_planner
+from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study import table as studies
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import Plan
@@ -199,7 +199,7 @@ def audit_run(
     tasks = plan.domain.simulator.tasks
     if tasks is None:
         raise InputError(f"{args.name_of(layout)}: no fleet drives in {plan.domain.name}")
-    from qdenv.simulate.mapf.audit import check_run  # imports the simulator
+    from qdenv.simulation.mapf.audit import check_run  # imports the simulator
 
     broken, finished = check_run(plan.layout, tasks, driven)
     times, robots = driven.cells.shape[:2]

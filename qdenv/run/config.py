@@ -12,16 +12,16 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from qdenv.domains.base import DOMAINS, make_domain
-from qdenv.generate import GENERATORS
+from qdenv.generators import GENERATORS
 from qdenv.io.files import damaged
 from qdenv.io.layouts import MAX_SIDE
 from qdenv.io.records import structured, unstructured
 from qdenv.ranges import MOST, PositiveInt, Ranged
-from qdenv.repair.rules import impossible
+from qdenv.repairs.rules import impossible
 from qdenv.search.axes import check_measures
 from qdenv.search.registry import ALGORITHMS
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf.settings import PLANNERS, find_planner
+from qdenv.simulation.mapf.settings import PLANNERS, find_planner
 from qdenv.types import InputError, Measure
 
 # Settings whose type is a choice, wherever a field of this name stands.

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.generate import GENERATORS, GuidedNcaConfig, NcaConfig
+from qdenv.generators import GENERATORS, GuidedNcaConfig, NcaConfig
 from qdenv.grid import NUM_MOVES
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import damaged, locked, refuse_second_run, write_csv, write_json

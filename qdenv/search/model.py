@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.search.base import Problem
-from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Fitted, Ring, Samples, Surrogate, errors
+from qdenv.surrogates.settings import SurrogateConfig
+from qdenv.surrogates.surrogate import Fitted, Ring, Samples, Surrogate, errors
 from qdenv.types import Array, InputError, Score
 
 

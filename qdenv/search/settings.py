@@ -17,7 +17,7 @@ from qdenv.ranges import (
     check_range,
 )
 from qdenv.registry import Entry
-from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
+from qdenv.surrogates.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError
 
 # Names of `strategies.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of

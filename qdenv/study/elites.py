@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generate import GENERATORS, inside_frame
+from qdenv.generators import GENERATORS, inside_frame
 from qdenv.grid import checksum
 from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax, jnp
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, PositiveInt, check_range
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.settings import RepairConfig
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.settings import EvaluationConfig
@@ -164,8 +164,8 @@ def repair_grown(
     if domain.rules is None:
         return None
     # These import a compiler and a solver.
-    from qdenv.repair.milp.feasibility import explain
-    from qdenv.repair.recipe import repair_layout
+    from qdenv.repairs.milp.feasibility import explain
+    from qdenv.repairs.recipe import repair_layout
 
     rules = domain.rules()
     result = repair_layout(grown.layout, rules, seed, config, progress)

@@ -13,10 +13,10 @@ import numpy as np
 from qdenv import devices
 from qdenv.grid import NUM_MOVES
 from qdenv.progress import Progress, silent
-from qdenv.simulate.mapf import fleet
-from qdenv.simulate.mapf.host.run import runs_under_way
-from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.settings import PLANNERS
+from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.host.run import runs_under_way
+from qdenv.simulation.mapf.metrics import Recording
+from qdenv.simulation.mapf.settings import PLANNERS
 from qdenv.study.options import fleet_tasks
 from qdenv.types import Floor, TaskRule, Traffic
 

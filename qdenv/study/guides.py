@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.generate import CostsConfig, UpdateConfig
+from qdenv.generators import CostsConfig, UpdateConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Search
@@ -17,7 +17,7 @@ from qdenv.run.loop import Publisher
 from qdenv.search.base import growing
 from qdenv.search.settings import CmaEsConfig
 from qdenv.settings import EvaluationConfig
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.elites import make_costs_drawer
 from qdenv.study.engine import run_seeds
 from qdenv.study.options import fleet_tasks

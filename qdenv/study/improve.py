@@ -16,22 +16,22 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generate import GENERATORS, DirectConfig, RacksConfig
+from qdenv.generators import GENERATORS, DirectConfig, RacksConfig
 from qdenv.grid import draw
 from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax
 from qdenv.progress import Progress, silent
 from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt, Ranged
-from qdenv.repair.audit import audit
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.audit import audit
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.settings import RepairConfig
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.search.settings import CmaEsConfig, RearrangeConfig
 from qdenv.settings import EvaluationConfig
 from qdenv.shipped import PREFIX, named, names
-from qdenv.simulate.mapf.goals import BY_SHELF
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.goals import BY_SHELF
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.stats import Difference, paired_difference
 from qdenv.study.engine import run_seeds
 from qdenv.study.guides import find_guidance, guide_config

@@ -11,7 +11,7 @@ from qdenv.domains.base import FREE, SAME, Domain, check_shape, make_domain
 from qdenv.grid import rectangle
 from qdenv.io.formats import READ_ENDINGS
 from qdenv.io.layouts import BLANKS, aliases, alphabet, read_drawing
-from qdenv.repair.rules import impossible
+from qdenv.repairs.rules import impossible
 from qdenv.types import InputError, about
 
 # One part, several joined by "+", or a list of these; see `keep_from`.

@@ -10,8 +10,8 @@ import numpy as np
 
 from qdenv.domains.base import Domain, KnownSize
 from qdenv.ranges import LARGEST_SEED
-from qdenv.simulate.mapf.goals import check_playable
-from qdenv.surrogate.settings import PUBLISHED, SurrogateConfig
+from qdenv.simulation.mapf.goals import check_playable
+from qdenv.surrogates.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError, TaskRule, look_up
 
 AGENTS, TIMESTEPS = 200, 1000  # of a simulation on a layout of no known size

@@ -10,15 +10,15 @@ import numpy as np
 from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.progress import Progress, silent
 from qdenv.ranges import Seed, check_range
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.stats import standard_error
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.types import InputError, Traffic
 
 if TYPE_CHECKING:  # imports the simulators
-    from qdenv.simulate.mapf.metrics import Recording
-    from qdenv.simulate.maze.policy import Weights
+    from qdenv.simulation.mapf.metrics import Recording
+    from qdenv.simulation.maze.policy import Weights
 
 FADING = 0.05  # throughput that falls by more than this is no chance, nor for long
 _DOUBT = 3.0  # standard errors by which it must fall, were tasks finished independently
@@ -191,7 +191,7 @@ def record_fleet(
     check_run(config.agents, config.timesteps, seed)
     tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, config.agents)
     # These import the simulator.
-    from qdenv.simulate.mapf.audit import jammed_windows
+    from qdenv.simulation.mapf.audit import jammed_windows
     from qdenv.study.engine import run_seeds
 
     def read(seed: int, run: Traffic, recording: Recording) -> Motion:
@@ -230,8 +230,8 @@ def trace_agent(
     import jax.numpy as jnp
 
     from qdenv.agent.evaluate import default_horizon
-    from qdenv.simulate.maze.episode import trace_episode
-    from qdenv.simulate.maze.policy import load_weights, prepare
+    from qdenv.simulation.maze.episode import trace_episode
+    from qdenv.simulation.maze.policy import load_weights, prepare
 
     steps = timesteps or default_horizon(plan.layout)
     weights = load_weights() if weights is None else weights

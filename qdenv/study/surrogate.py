@@ -15,8 +15,8 @@ import numpy as np
 from qdenv.domains.base import make_domain
 from qdenv.progress import Progress, silent
 from qdenv.run.directory import RunDirectory
-from qdenv.surrogate.settings import SurrogateConfig
-from qdenv.surrogate.surrogate import Ring, Samples, Surrogate
+from qdenv.surrogates.settings import SurrogateConfig
+from qdenv.surrogates.surrogate import Ring, Samples, Surrogate
 from qdenv.types import Encoding, InputError
 
 _HELD_OUT = 0.2  # share of the elites

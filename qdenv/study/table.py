@@ -15,7 +15,7 @@ import numpy as np
 from qdenv.grid import of_tiles
 from qdenv.io.files import write_csv
 from qdenv.progress import Progress, silent
-from qdenv.simulate.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.stats import (
     Difference,
     Sample,

@@ -25,9 +25,9 @@ import numpy as np
 
 from qdenv import devices
 from qdenv.progress import Progress, silent
-from qdenv.simulate.mapf.audit import audit as list_violations
-from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.simulation.mapf.audit import audit as list_violations
+from qdenv.simulation.mapf.metrics import Recording
+from qdenv.simulation.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.stats import sample_of
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import fleet_tasks

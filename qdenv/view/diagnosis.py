@@ -10,7 +10,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from qdenv.repair.audit import Violation
+from qdenv.repairs.audit import Violation
 from qdenv.study.diagnosis import Remark
 from qdenv.study.plans import Plan
 from qdenv.view.layouts import draw_plan

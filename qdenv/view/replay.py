@@ -14,7 +14,7 @@ import numpy as np
 
 from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT
 from qdenv.guidance import preferences
-from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
+from qdenv.simulation.mapf.settings import FleetConfig, describe_planner
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import Motion, throughput_over_time
 from qdenv.types import InputError, Traffic

@@ -10,8 +10,8 @@ import numpy as np
 
 from qdenv.guidance import preferences
 from qdenv.progress import Progress, silent
-from qdenv.repair.audit import audit
-from qdenv.simulate.mapf.settings import FleetConfig, describe_planner
+from qdenv.repairs.audit import audit
+from qdenv.simulation.mapf.settings import FleetConfig, describe_planner
 from qdenv.stats import difference
 from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import fleet_tasks, usual_fleet

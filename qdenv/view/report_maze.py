@@ -11,8 +11,8 @@ import numpy as np
 from qdenv.agent.evaluate import default_horizon, evaluate_agent, run_alone
 from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
-from qdenv.simulate.maze.policy import load_weights
-from qdenv.simulate.maze.world import WALL
+from qdenv.simulation.maze.policy import load_weights
+from qdenv.simulation.maze.world import WALL
 from qdenv.study.table import about
 from qdenv.view.layouts import draw_marks, draw_plan
 from qdenv.view.page import Page, listed

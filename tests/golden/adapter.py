@@ -11,10 +11,10 @@ import numpy as np
 
 import qdenv
 from qdenv.cli.main import run as run_command
-from qdenv.repair.recipe import repair_layout
+from qdenv.repairs.recipe import repair_layout
 from qdenv.run import loop
 from qdenv.run.config import config_to_json
-from qdenv.simulate.mapf.settings import find_planner
+from qdenv.simulation.mapf.settings import find_planner
 from qdenv.study.engine import run_seeds
 
 
@@ -25,7 +25,7 @@ def domain_of(name: str, rows: int, cols: int, **numbers: int) -> qdenv.Domain:
 
 def repair(layout: np.ndarray, domain: qdenv.Domain, polish: str, seed: int) -> tuple:
     """Repair a layout; return the layout, status, cost and lower bound."""
-    from qdenv.repair.settings import RepairConfig
+    from qdenv.repairs.settings import RepairConfig
 
     rules = domain.rules()
     result = repair_layout(layout, rules, seed, RepairConfig(polish=polish))

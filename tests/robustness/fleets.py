@@ -18,12 +18,12 @@ from scipy import stats
 import qdenv
 from qdenv.grid import NUM_MOVES
 from qdenv.guidance import fixed_costs
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.settings import RepairConfig
-from qdenv.simulate.mapf.audit import audit
-from qdenv.simulate.mapf.goals import check_playable
-from qdenv.simulate.mapf.metrics import Recording
-from qdenv.simulate.mapf.negotiated.settings import HIGH, LOW
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.settings import RepairConfig
+from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.goals import check_playable
+from qdenv.simulation.mapf.metrics import Recording
+from qdenv.simulation.mapf.negotiated.settings import HIGH, LOW
 from qdenv.study.engine import run_seeds
 from qdenv.types import Floor, RepairStatus, TaskRule, Traffic
 from robustness.campaign import Attack, Attempt

@@ -12,9 +12,9 @@ from scipy import ndimage
 
 import qdenv
 from qdenv.grid import count_neighbours
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import Facts, impossible
-from qdenv.repair.settings import RepairConfig
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.rules import Facts, impossible
+from qdenv.repairs.settings import RepairConfig
 from qdenv.types import Adjacency, Count, RepairStatus, Rules
 from robustness.campaign import Attack, Attempt
 

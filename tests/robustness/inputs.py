@@ -17,7 +17,7 @@ from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
 from qdenv.io.formats import FORMATS, write_drawing
 from qdenv.io.layouts import Drawing
-from qdenv.simulate.maze.policy import SHIPPED_AGENT
+from qdenv.simulation.maze.policy import SHIPPED_AGENT
 from robustness.campaign import Attack, Attempt
 from robustness.corrupt import Rng, corrupt, damage, hostile_checkpoint, pick
 from robustness.sandbox import Sandbox

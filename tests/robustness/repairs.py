@@ -7,8 +7,8 @@ import highspy
 import numpy as np
 
 import qdenv
-from qdenv.repair.milp.feasibility import build_free
-from qdenv.repair.milp.highs import (
+from qdenv.repairs.milp.feasibility import build_free
+from qdenv.repairs.milp.highs import (
     add_cuts,
     load,
     new_solver,
@@ -16,10 +16,10 @@ from qdenv.repair.milp.highs import (
     separate,
     solve_relaxation,
 )
-from qdenv.repair.milp.program import build, decode
-from qdenv.repair.recipe import repair_layout
-from qdenv.repair.rules import Facts
-from qdenv.repair.settings import Polish, RepairConfig
+from qdenv.repairs.milp.program import build, decode
+from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.rules import Facts
+from qdenv.repairs.settings import Polish, RepairConfig
 from qdenv.types import Count, RepairStatus, Rules
 from robustness.campaign import Attack, Attempt
 

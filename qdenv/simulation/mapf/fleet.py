@@ -1,0 +1,381 @@
+"""Lifelong multi-agent path finding: one simulation of a fleet on one layout.
+
+Plan a window, drive its first steps, hand out new goals, plan again (RHCR, Li et al. 2021,
+https://arxiv.org/abs/2005.07371; the rules are in `qdenv.simulation`). Everything that depends on
+the layout is traced, so all layouts of one size share one compiled program.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeAlias
+
+import chex
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental.buffer_callback import buffer_callback
+
+from qdenv.grid import NUM_MOVES, move_steps, of_tiles
+from qdenv.simulation.mapf import chance
+from qdenv.simulation.mapf.distances import (
+    Fields,
+    goal_costs,
+    goal_distances,
+    measure_fields,
+    rows_of,
+)
+from qdenv.simulation.mapf.host.run import simulate_into
+from qdenv.simulation.mapf.host.state import RunSettings
+from qdenv.simulation.mapf.metrics import (
+    Block,
+    Counters,
+    Outcome,
+    Recording,
+    accumulate,
+    recording_of,
+    summarise,
+)
+from qdenv.simulation.mapf.planner import (
+    KNOWN,
+    NOBODY,
+    AgentState,
+    World,
+    distance_type,
+    draw_goals,
+    goal_table,
+    pad,
+    serve,
+    unpad_grid,
+)
+from qdenv.simulation.mapf.settings import PLANNERS, FleetConfig, check_costs
+from qdenv.types import Array, InputError, TaskRule, Traffic
+
+_TABLE_BYTES = 1 << 27  # of a table of all distances; above, agents measure their own
+
+_Report: TypeAlias = tuple[Traffic, Recording | None]
+
+
+class FleetState(NamedTuple):
+    """The agents between two windows."""
+
+    position: jax.Array  # int32 [A]
+    kind: jax.Array  # int32 [A], the current goal's place in the cycle
+    goal: jax.Array  # int32 [2, A], slots of the current and the next goal
+    remaining_service: jax.Array  # int32 [A], timesteps still to serve
+    age: jax.Array  # int32 [A], timesteps since the last finished task
+    legs: jax.Array  # int32 [A], tasks finished since all were planned
+    previous: jax.Array  # int32 [window + 1, A], the plan from here on
+    fields: Fields | None  # distances measured on demand; None where the world has a table of all
+
+
+def prepare(
+    layout: Array, rule: TaskRule, config: FleetConfig, costs: Array | None = None
+) -> World:
+    """Build what all runs on one layout (int8 [H, W]) share: goals, distances, walls.
+
+    `costs` are those of each move at each cell (int32 [5, H, W], see `guidance.fixed_costs`).
+    Raises InputError if the window, or a stay at a goal, is longer than the planner understands, or
+    if it knows no costs of moves.
+    """
+    chex.assert_rank(layout, 2)
+    chex.assert_type(layout, int)
+    planner = PLANNERS.make(config.planner)
+    longest = max(0 if callable(goal.stay) else goal.stay for goal in rule.cycle)
+    if config.window > planner.max_window:
+        raise InputError(
+            f"the planner {PLANNERS.name_of(config.planner)!r} plans at most {planner.max_window} "
+            f"timesteps ahead: choose a window of at most that, not {config.window}"
+        )
+    if longest > planner.max_service:
+        raise InputError(
+            f"the planner {PLANNERS.name_of(config.planner)!r} lets agents stay at a goal for at "
+            f"most {planner.max_service} timesteps, not {longest}: shorten the stay"
+        )
+    if costs is not None:
+        check_costs(config.planner)
+    rows, cols = layout.shape
+    capacity = config.goal_capacity or rows * cols
+    traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
+    goals = goal_table(layout, rule, capacity)
+    distance, (kind, far) = None, distance_type(layout.size, costs is not None)
+    sides = (planner.margin, planner.margin)
+    walled = jnp.pad(traversable, planner.margin)
+    if costs is not None:
+        costs = jnp.pad(jnp.asarray(costs), ((0, 0), sides, sides)).reshape(NUM_MOVES, -1)
+    table_bytes = capacity * layout.size * np.dtype(kind).itemsize
+    if not planner.on_host and table_bytes <= _TABLE_BYTES:
+        used = goals.used & traversable.reshape(-1)[goals.cells]
+        if costs is None:
+            distance = goal_distances(traversable, goals.cells, used).reshape(capacity, rows, cols)
+            distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=far)
+            distance = distance.reshape(capacity, -1)
+        else:
+            cells = pad(goals.cells, cols, planner.margin)
+            distance = goal_costs(walled, costs, cells, used)
+    return World(
+        traversable=walled,
+        goals=goals._replace(cells=pad(goals.cells, cols, planner.margin)),
+        distance=distance,
+        # Stays that depend on the layout can be too long as well, which shows here only.
+        valid=goals.complete & (goals.service_time.max() <= planner.max_service),
+        costs=costs,
+        margin=planner.margin,
+    )
+
+
+def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> FleetState:
+    """Put the agents in `active` (bool [A]) on distinct random cells; draw their first goals.
+
+    The others, padding, stand on cell 0, a wall. `window` timesteps are planned ahead.
+    """
+    # Drawn on the layout without margin: a seed gives the same starts whichever planner drives.
+    free, agents = unpad_grid(world.traversable, world.margin), active.shape[0]
+    bits = chance.draw(chance.draw(seed, chance.STARTS), jnp.arange(free.size))
+    rank = jnp.where(free.reshape(-1), (bits >> 1).astype(jnp.int32), -1)
+    rank, cells = jax.lax.top_k(rank, agents)
+    cells = pad(cells, free.shape[1], world.margin)
+    # Where the free cells do not suffice walls are drawn, too, and the run is not valid.
+    position = jnp.where(active & (rank >= 0), cells, 0).astype(jnp.int32)
+    zero = jnp.zeros(active.shape, jnp.int32)
+    cycle = world.goals.odds.shape[0]
+    goal = [
+        draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
+        for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
+    ]
+    still = jnp.broadcast_to(position, (window + 1, agents))
+    fields, size = None, world.traversable.size
+    if world.distance is None:
+        kind, far = distance_type(size, world.costs is not None)
+        fields = Fields(
+            jnp.full((2 * agents, size), far, kind),
+            jnp.full((2, agents), NOBODY, jnp.int32),
+            jnp.zeros((agents,), bool),
+        )
+    return FleetState(position, zero, jnp.stack(goal), zero, zero, zero, still, fields)
+
+
+def drive(
+    world: World, fleet: FleetState, cell: jax.Array, active: jax.Array, seed: jax.Array
+) -> tuple[FleetState, jax.Array]:
+    """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
+    cycle = world.goals.odds.shape[0]
+    service_time = world.goals.service_time[fleet.kind, fleet.goal[0]]
+    # An agent does not stay at a goal that its planner did not know.
+    known = (fleet.legs < KNOWN) | (service_time == 0)
+    on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known
+    remaining, finished = serve(fleet.remaining_service, on_goal, service_time)
+    kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
+    drawn = draw_goals(world.goals, (kind + 1) % cycle, seed)
+    return fleet._replace(
+        position=cell,
+        kind=kind,
+        goal=jnp.where(finished, jnp.stack([fleet.goal[1], drawn]), fleet.goal),
+        remaining_service=remaining,
+        age=jnp.where(finished, 0, fleet.age + 1),
+        legs=fleet.legs + finished,
+    ), finished
+
+
+def _run_window(
+    world: World,
+    config: FleetConfig,
+    fleet: FleetState,
+    active: jax.Array,
+    seed: jax.Array,
+    time: jax.Array,
+) -> tuple[FleetState, Block]:
+    """Plan the window that begins at `time` and drive its first steps."""
+    fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
+    distance, row, cycle = world.distance, fleet.goal, world.goals.odds.shape[0]
+    if fleet.fields is not None:
+        fields = measure_fields(world, fleet.fields, fleet.goal)
+        fleet = fleet._replace(fields=fields)
+        distance, row = fields.distance, rows_of(fields)
+    plan = PLANNERS.make(config.planner).plan
+    assert plan is not None and distance is not None  # else runs are computed on the host
+    state = AgentState(
+        position=fleet.position,
+        active=active,
+        goal=fleet.goal,
+        service_time=world.goals.service_time[
+            jnp.stack([fleet.kind, (fleet.kind + 1) % cycle]), fleet.goal
+        ],
+        remaining_service=fleet.remaining_service,
+        age=fleet.age,
+        previous=fleet.previous,
+        distance=distance,
+        row=row,
+    )
+    # A key whose `chance.seed_of` is the host's seed of a window, mix(mix(seed, PLANS), time).
+    words = jnp.stack([chance.draw(seed, chance.PLANS), time.astype(jnp.uint32)])
+    key = jax.random.wrap_key_data(words, impl="threefry2x32")
+    paths = plan(world, state, config.horizon, key)
+    chex.assert_shape(paths, (config.window + 1, config.agents))
+    goals = chance.draw(seed, chance.GOALS)
+
+    def step(fleet: FleetState, inputs: tuple[jax.Array, jax.Array]) -> tuple[FleetState, Block]:
+        heading = world.goals.cells[fleet.goal[0]]
+        drawn = chance.draw(goals, inputs[1])
+        fleet, finished = drive(world, fleet, inputs[0], active, drawn)
+        return fleet, Block(fleet.position, fleet.remaining_service, finished, heading)
+
+    times = time + jnp.arange(config.horizon)
+    fleet, block = jax.lax.scan(step, fleet, (paths[1 : config.horizon + 1], times))
+    last = jnp.broadcast_to(paths[-1], (config.horizon, config.agents))
+    return fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last])), block
+
+
+def blank_outcome(world: World, config: FleetConfig, keep: bool) -> Outcome:
+    """Make room for what a run leaves behind, all zeros; `keep` makes room for every step."""
+    windows = -(-config.timesteps // config.horizon) * config.horizon
+    nowhere = jnp.zeros((config.agents,), jnp.int32)
+    blank = jnp.zeros((windows if keep else 0, config.agents), jnp.int32)
+    counters = Counters(
+        time=jnp.int32(0),
+        congested_at=jnp.int32(0),
+        finished=jnp.zeros((windows,), jnp.int32),
+        visits=jnp.zeros((world.traversable.size,), jnp.int32),
+        moves=jnp.int32(0),
+    )
+    return Outcome(counters, nowhere, nowhere, Block(blank, blank, blank.astype(bool), blank))
+
+
+def run_settings(config: FleetConfig, seed: int = 0) -> RunSettings:
+    """List what host code needs to know of a simulation."""
+    return RunSettings(
+        seed, config.timesteps, config.window, config.horizon, config.stop_when_congested
+    )
+
+
+def _run(
+    world: World, seed: jax.Array, config: FleetConfig, active: jax.Array, keep: bool
+) -> Outcome:
+    """Simulate until T or congestion, keeping every step if `keep`."""
+    planner = PLANNERS.make(config.planner)
+    if planner.on_host:
+
+        def on_host(_: Any, *buffers: Any) -> None:
+            # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
+            outcome, world, seed, agents = jax.tree.map(np.asarray, buffers)
+            simulate_into(outcome, planner, world, int(agents), run_settings(config, int(seed)))
+
+        like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
+        # The callback works on jax's own buffers.
+        simulate_there = buffer_callback(on_host, like, vmap_method="sequential")
+        outcome: Outcome = simulate_there(world, seed, active.sum())
+        return outcome
+    first = place(world, config.window, active, seed)
+    counters, _, _, room = blank_outcome(world, config, keep)
+
+    def is_going(run: tuple[FleetState, Counters, Block]) -> jax.Array:
+        counters = run[1]
+        halted = (counters.congested_at > 0) & config.stop_when_congested
+        return world.valid & (counters.time < config.timesteps) & ~halted
+
+    def run_window(run: tuple[FleetState, Counters, Block]) -> tuple[FleetState, Counters, Block]:
+        fleet, counters, kept = run
+        at_work = active & is_going(run)  # a finished lane of a batch has no agents left to plan
+        after, block = _run_window(world, config, fleet, at_work, seed, counters.time)
+        if keep:
+            begin = (counters.time, 0)
+            kept = jax.tree.map(
+                lambda rows, part: jax.lax.dynamic_update_slice(rows, part, begin), kept, block
+            )
+        before = fleet.position, fleet.remaining_service
+        return after, accumulate(counters, *before, block, active, config.timesteps), kept
+
+    fleet, counters, kept = jax.lax.while_loop(is_going, run_window, (first, counters, room))
+    return Outcome(counters, world.goals.cells[fleet.goal[0]], first.position, kept)
+
+
+def _select_active_agents(
+    world: World, config: FleetConfig, agents: Array | None
+) -> tuple[World, jax.Array]:
+    """Choose who takes part (bool [A]); without room for them the world is not valid."""
+    chex.assert_rank(world.traversable, 2)
+    count = jnp.asarray(config.agents if agents is None else agents)
+    chex.assert_rank(count, 0)
+    room = (world.traversable.sum() >= count) & (count <= config.agents)
+    return replace(world, valid=world.valid & room), jnp.arange(config.agents) < count
+
+
+def _report(
+    world: World, outcome: Outcome, active: jax.Array, config: FleetConfig, keep: bool
+) -> _Report:
+    """Turn what a run leaves behind into records; the recording is None unless `keep`."""
+    recording = recording_of(outcome, active, world, config.timesteps) if keep else None
+    return summarise(world, outcome.counters, active, config.timesteps), recording
+
+
+def _simulate(
+    world: World, key: jax.Array, config: FleetConfig, agents: Array | None, keep: bool
+) -> _Report:
+    world, active = _select_active_agents(world, config, agents)
+    outcome = _run(world, chance.seed_of(key), config, active, keep)
+    return _report(world, outcome, active, config, keep)
+
+
+def simulate(
+    world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
+) -> Traffic:
+    """Run one simulation until T, or until it congests.
+
+    The world is from `prepare`, with the same config. The key is consumed; it decides starts, goals
+    and ties. `agents` (traced, at most ``config.agents``) take part; None for all. A layout with
+    too few free cells or without goals counts as congested at once.
+    """
+    return _simulate(world, key, config, agents, keep=False)[0]
+
+
+def record(
+    world: World, key: jax.Array, config: FleetConfig, agents: Array | None = None
+) -> tuple[Traffic, Recording]:
+    """Run the same simulation as `simulate` and keep every step of it."""
+    traffic, recording = _simulate(world, key, config, agents, keep=True)
+    assert recording is not None
+    return traffic, recording
+
+
+def count_moves(world: World, key: jax.Array, config: FleetConfig) -> jax.Array:
+    """Simulate once and count how often each move was made (int32 [5, H, W], waiting first)."""
+    traffic, recording = record(world, key, config)
+    rows, cols = (side - 2 * world.margin for side in world.traversable.shape)
+    before, after = recording.positions[:-1], recording.positions[1:]
+    is_move = jnp.asarray(move_steps(cols))[:, None, None] == (after - before)[None]
+    driven = (jnp.arange(config.timesteps) < traffic.end_timestep)[:, None] & recording.active[None]
+    counts = jnp.zeros((NUM_MOVES, rows * cols), jnp.int32)
+    counts = counts.at[is_move.argmax(axis=0), before].add(driven)
+    return counts.reshape(NUM_MOVES, rows, cols)
+
+
+def compile_runs(
+    world: World, config: FleetConfig, keep: bool
+) -> Callable[[World, int, int], _Report]:
+    """Compile whole runs on layouts of one size, (world, seed, agents) -> traffic and recording.
+
+    The recording is None unless `keep`. On the host only what turns the outcome into records is a
+    program of XLA's: what XLA compiles around a callback it forgets with the process. The worlds
+    are of numpy arrays there.
+    """
+    planner, count = PLANNERS.make(config.planner), jax.ShapeDtypeStruct((), np.int32)
+    if not planner.on_host:
+        whole = jax.jit(lambda world, key, agents: _simulate(world, key, config, agents, keep))
+        program = whole.lower(world, jax.random.key(0), count).compile()
+        return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
+
+    def finish(world: World, outcome: Outcome, agents: Array) -> _Report:
+        world, active = _select_active_agents(world, config, agents)
+        return _report(world, outcome, active, config, keep)
+
+    shapes = jax.eval_shape(lambda: blank_outcome(world, config, keep))
+    program = jax.jit(finish).lower(world, shapes, count).compile()
+
+    def run(world: World, seed: int, agents: int) -> _Report:
+        outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+        # Too many agents for the layout: none drives, and the report calls that congested.
+        if agents <= min(int(np.asarray(world.traversable).sum()), config.agents):
+            settings = run_settings(config, int(chance.seed_of(jax.random.key(seed))))
+            simulate_into(outcome, planner, world, agents, settings)
+        return program(world, outcome, np.int32(agents))
+
+    return run

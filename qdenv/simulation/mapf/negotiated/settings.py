@@ -1,0 +1,89 @@
+"""The negotiated planner's numbers: its settings, the two efforts in use, its limits."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from annotated_types import Interval
+
+from qdenv.devices import Backend
+from qdenv.ranges import Ranged
+from qdenv.registry import Entry
+from qdenv.types import InputError
+
+MAX_WINDOW = 10  # a square of 2 * 10 + 1 columns around any cell lies within one packed word
+# Timesteps served so far are one bit of a 32-bit word, a whole window longer; agents that stay
+# longer are planned as if they stayed this long.
+MAX_SERVICE = 20
+MARGIN = MAX_WINDOW  # so that no agent sees beyond the border
+_MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
+
+
+COST_UNIT = 4  # costs are counted in quarters of a timestep
+MOVE_UNIT = 64  # where moves have costs: in units of which a move costs 64 on average
+# Where moves have costs: above what standing still through a window can cost, so that a larger
+# penalty hardly makes a difference.
+_MAX_PENALTY = 1 << 14
+
+_LARGEST = 1_000_000  # of any number: more fits into no count of costs
+_Number = Annotated[int, Interval(ge=1, le=_LARGEST)]
+
+
+@dataclass(frozen=True)
+class NegotiatedConfig(Ranged):
+    """Settings of the negotiated planner."""
+
+    lookahead: _Number = 10  # timesteps planned without conflict, at most the simulation's window
+    lanes: _Number = 4  # agents that plan against the same reservations in one round
+    # most rounds, in units of ``agents / lanes``
+    rounds: Annotated[float, Interval(gt=0, le=_LARGEST)] = 12.0
+    # how finely the soft conflicts of a path are counted: the numbers 0, 1, ... told apart, the
+    # last of which stands for all larger ones; 1 to 4.
+    conflict_levels: Annotated[int, Interval(ge=1, le=_MAX_CONFLICT_LEVELS)] = 4
+    # timesteps an agent would rather lose than drive over one reservation, at its first, second,
+    # ... attempt within a window; the last is used from then on.
+    penalties: tuple[Annotated[float, Interval(ge=0, le=_LARGEST)], ...] = (
+        *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
+        *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
+    )
+    # let agents avoid, where that costs nothing, where the others went in the last plan
+    remember: bool = True
+    # what agents without a reservation do: the joint plan of PIBT, or standing still, which
+    # congests as priority-based search does
+    last_resort: Literal["pibt", "wait"] = "pibt"
+    # where to run: compiled host code, XLA, or the former on a CPU and else the latter ("auto")
+    backend: Backend = "auto"
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no planner."""
+        super().__post_init__()
+        if not self.penalties:
+            raise InputError("a negotiated planner needs penalties: give at least one")
+
+    def planned_ahead(self, window: int, horizon: int) -> int:
+        """Return the number of timesteps planned without conflict."""
+        return max(horizon, min(self.lookahead, window))
+
+    def penalty_costs(self, has_costs: bool) -> np.ndarray:
+        """Return the penalties (int32 [attempts]) in the units of a world with costs or without."""
+        costs = np.array([round(COST_UNIT * penalty) for penalty in self.penalties], np.int32)
+        if has_costs:
+            costs = np.minimum(costs * (MOVE_UNIT // COST_UNIT), _MAX_PENALTY)
+        return costs
+
+    def max_rounds(self, agents: Any) -> Any:
+        """Return the most rounds (float32) of a number of agents, padding not counted.
+
+        Padding agents must not change the number of rounds, and so no result.
+        """
+        return np.float32(self.rounds) * -(-agents // self.lanes)
+
+
+# Low for the inside of a search: half of high's time for 2 to 3 % less throughput. More lanes than
+# these cost throughput on either: their agents plan without knowing of one another.
+HIGH = NegotiatedConfig()
+LOW = NegotiatedConfig(
+    lookahead=7, lanes=8, rounds=4.0, conflict_levels=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
+)
+EFFORTS = {"low": LOW, "high": HIGH}
+NEGOTIATED = Entry(NegotiatedConfig, "qdenv.simulation.mapf.negotiated.planner:negotiated")

@@ -1,0 +1,22 @@
+"""The settings of PIBT."""
+
+from dataclasses import dataclass
+
+from qdenv.devices import Backend
+from qdenv.ranges import Ranged
+from qdenv.registry import Entry
+
+
+@dataclass(frozen=True)
+class PibtConfig(Ranged):
+    """Priority inheritance with backtracking, one timestep at a time."""
+
+    # "host" for compiled code in a callback, "xla" for code without a callback, "auto" for the host
+    # where jax computes on a CPU. The results are the same.
+    backend: Backend = "auto"
+    # whether agents change places where there is no room for two to pass (Okumura 2023): for floors
+    # with dead ends and narrow passages; always computed on the host
+    swap: bool = False
+
+
+PIBT = Entry(PibtConfig, "qdenv.simulation.mapf.pibt.planner:pibt")

@@ -1,0 +1,115 @@
+"""The settings of a simulation of a fleet: how many drive, for how long, and who plans.
+
+A planner is chosen by its name, an effort or its settings, and described in reports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from qdenv.ranges import PositiveInt, Ranged
+from qdenv.registry import Registry
+from qdenv.simulation.mapf.negotiated.settings import EFFORTS, LOW
+from qdenv.types import InputError, look_up
+
+_MOST_TIMESTEPS = 10_000_000
+MOST_STEPS = 2**31 - 1  # agent-steps, which are counted in 32 bits
+
+# An entry's maker is called as make(settings) and returns a `Planner`.
+PLANNERS = Registry(
+    "planner",
+    "qdenv.planners",
+    {
+        "negotiated": "qdenv.simulation.mapf.negotiated.settings:NEGOTIATED",
+        "pbs": "qdenv.simulation.mapf.pbs.settings:PBS",
+        "pibt": "qdenv.simulation.mapf.pibt.settings:PIBT",
+    },
+)
+
+
+@dataclass(frozen=True)
+class FleetConfig(Ranged):
+    """The numbers of a simulation, all compile-time."""
+
+    # number of robots, or the largest where `simulate` takes fewer
+    agents: PositiveInt = 200
+    timesteps: PositiveInt = 1000  # how long a simulation lasts, T
+    # timesteps planned ahead without conflict (w), at most what the planner can do
+    window: PositiveInt = 10
+    horizon: PositiveInt = 5  # timesteps driven before planning again, the replanning period (h)
+    # settings record of the planner; its type says which one of `PLANNERS`
+    planner: Any = field(default_factory=lambda: LOW)
+    stop_when_congested: bool = True  # end the run at the first congested window
+    # goal cells the tables have room for; None for one per cell of the layout
+    goal_capacity: PositiveInt | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no simulation, and what is no planner's settings."""
+        super().__post_init__()
+        if self.timesteps > _MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
+            most = max(1, min(_MOST_TIMESTEPS, MOST_STEPS // self.agents))
+            raise InputError(
+                f"{self.agents} agents over {self.timesteps} timesteps are more than a run can "
+                f"count: simulate at most {most} timesteps"
+            )
+        if self.horizon > self.window:
+            raise InputError(f"a horizon of {self.horizon} is beyond the window, {self.window}")
+        PLANNERS.name_of(self.planner)
+
+
+OWN = "negotiated"  # the planner where none is named, and the only one with efforts
+
+
+def find_planner(effort: str | None = None, planner: Any = "", usual: str = "high") -> Any:
+    """Choose a planner's settings by an effort, a planner's name, or the settings themselves.
+
+    Efforts are those of the negotiated planner, `usual` where none is given. A name stands for the
+    planner's defaults, "" for the negotiated one. Raises InputError if a name is unknown, settings
+    are no planner's, or an effort is given with them or for another planner.
+    """
+    if isinstance(planner, str):
+        if planner in ("", OWN):
+            return look_up(EFFORTS, effort or usual, "effort")
+        planner = PLANNERS.config(planner)
+    name = PLANNERS.name_of(planner)
+    if effort:
+        reason = "its settings say all" if name == OWN else f"{name} has none"
+        raise InputError(f"effort {effort} is for the {OWN} planner, and {reason}: leave it out")
+    return planner
+
+
+def check_costs(planner: Any) -> None:
+    """Raise InputError if the planner of these settings knows no costs of moves."""
+    if not PLANNERS.make(planner).reads_costs:
+        name = PLANNERS.name_of(planner)
+        raise InputError(
+            f"the planner {name!r} knows no costs of moves: choose negotiated, pibt or pbs, or "
+            "--guidance none"
+        )
+
+
+def describe_planner(settings: Any) -> str:
+    """Name a planner and its settings for reports, like "pbs, rule plain, nodes per agent 10".
+
+    The negotiated one by its effort, or the closest one, and where it differs from that.
+    """
+    name, values = PLANNERS.name_of(settings), asdict(settings)
+    parts = [name]
+    if name == OWN:
+        others = {
+            effort: {name: value for name, value in values.items() if value != asdict(known)[name]}
+            for effort, known in EFFORTS.items()
+        }
+        effort = min(others, key=lambda effort: len(others[effort]))
+        parts, values = [name, f"{effort} effort"], others[effort]
+    for key, value in values.items():
+        if key != "backend":  # it changes no result
+            number = f"{value:g}" if isinstance(value, float) else value
+            parts.append(f"{key.replace('_', ' ')} {number}")
+    return ", ".join(parts)
+
+
+def record_planner(settings: Any) -> dict[str, Any]:
+    """List a planner's name and all its settings, for files."""
+    return {"name": PLANNERS.name_of(settings), **asdict(settings)}
