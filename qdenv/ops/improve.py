@@ -13,6 +13,7 @@ import numpy as np
 from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, Domain, make_domain
+from qdenv.domains.hall import GENERATED
 from qdenv.interrupt import advise
 from qdenv.io.files import damaged, locked, write_csv, write_json
 from qdenv.io.formats import holds
@@ -153,6 +154,9 @@ def improve_folder(
             if section == "lanes" and not PLANNERS.make(config.fleet.planner).reads_costs:
                 say(f"{title}: the planner knows no costs of moves, so none are searched")
                 continue
+            if section == "rows" and domain.generated != GENERATED:
+                say(f"{title}: {domain.name} has no shelves with endpoints, so none are drawn")
+                continue
             if not (folder / section / "config.json").exists():
                 say(f"{title}:")
             _search(folder, section, plan, domain, config, progress, execution)
@@ -261,7 +265,8 @@ def _draw_racks_moved(folder: Path, plan: Plan, domain: Domain, config: Any) -> 
     from qdenv.view.style import save_figure
 
     found, free = {}, domain.drivable(plan.layout)
-    for section in [one for one in studies.SECTIONS if one != "lanes"]:
+    searched = [one for one in studies.SECTIONS if one != "lanes" and (folder / one).exists()]
+    for section in searched:
         columns = RunDirectory.open(folder / section).archive.columns
         moved = (domain.drivable(columns["repaired"]) & ~free).sum(axis=(1, 2))
         found[studies.SECTIONS[section][0]] = moved, columns["objective"]
