@@ -1,5 +1,6 @@
 """What every test runs under: strict numerics, and where layouts lie."""
 
+import gc
 import os
 import time
 import zlib
@@ -38,6 +39,7 @@ def pytest_configure(config: pytest.Config) -> None:
     Most programs run for less time than XLA takes to optimize them, so it is asked not to (all of
     the tests: a sixth less CPU time); `JAX_DISABLE_MOST_OPTIMIZATIONS=0` tests what users run.
     """
+    gc.set_threshold(200_000, 20, 100)  # programs live on: to look at them takes a twentieth
     if not hasattr(config, "workerinput"):  # the first process, whose environment others inherit
         os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
         cache = platformdirs.user_cache_path("qdenv-tests")

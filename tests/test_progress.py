@@ -72,7 +72,7 @@ def test_functions_that_numba_compiles_are_named_meanwhile(quick, capsys):
         assert numba.njit(anneal)(1) == 2
         bar.note("compiled")
         shown = wait_for("compiled", capsys)
-    assert "compiling repair.anneal, once on this machine" in shown
+    assert "compiling repairs.anneal, once on this machine" in shown
     assert "once on this machine" not in shown.rpartition("compiled")[0].rpartition("\r")[2]
 
 

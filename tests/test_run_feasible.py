@@ -73,7 +73,7 @@ def test_numbers_agents_steps_and_axes_follow_the_size():
     assert (low, high, cells) == (140 * 945 / 240, 945, 100)
     assert entropy == (0, 1, 100)
     assert said == (
-        "945 shelves, 788 agents, 98 steps of growth, connected shelf components from 551.25 to 945"
+        "945 shelves, 788 agents, 98 steps of growth, connected shelf components from 551 to 945"
     )
     check(followed)
 

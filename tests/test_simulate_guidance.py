@@ -71,10 +71,17 @@ def simulate(
 
 
 @pytest.mark.parametrize(
-    "planner",
-    [PibtConfig("host"), PibtConfig("xla"), PbsConfig(), PbsConfig("plain", 1), LOW, HIGH, IN_XLA],
+    ("planner", "rule"),
+    [
+        (PibtConfig("host"), PLAIN),
+        (PibtConfig("xla"), SERVICES),
+        (PbsConfig(), PLAIN),
+        (PbsConfig("plain", 1), SERVICES),
+        (LOW, SERVICES),
+        (HIGH, PLAIN),
+        (IN_XLA, SERVICES),
+    ],
 )
-@pytest.mark.parametrize("rule", [PLAIN, SERVICES])
 def test_costs_of_one_change_nothing(planner, rule):
     timesteps = 15 if planner is IN_XLA else 60
     config = FleetConfig(40, timesteps, planner=planner, stop_when_congested=False)
