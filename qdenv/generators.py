@@ -150,7 +150,7 @@ def choose_tiles(cells: Array) -> jax.Array:
 
 def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
     """Cut the generated area out of a layout whose frame adds (rows, columns) to each side."""
-    rows, cols = layout.shape
+    rows, cols = layout.shape[:2]
     return layout[margin[0] : rows - margin[0], margin[1] : cols - margin[1]]
 
 

@@ -8,9 +8,11 @@ that ways are short; how much the nearest station and the directions count is se
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
 
 from qdenv.generators import Canvas, Generator, RacksConfig, inside_frame
+from qdenv.grid import MOVES, shift
+from qdenv.simulation.mapf.distances import goal_distances
+from qdenv.simulation.mapf.planner import distance_type
 from qdenv.types import InputError
 
 _SIZE = 12  # numbers of a solution
@@ -31,13 +33,15 @@ def racks(config: RacksConfig, canvas: Canvas) -> Generator:
     shape, shelves = (canvas.rows, canvas.cols), domain.config.shelves
     empty = np.asarray(domain.frame(np.zeros(shape, np.int8)))
     free = domain.drivable(empty)
-    ways = [walk(free, station) for station in np.argwhere(free & (empty > 0))]
-    if not ways:
+    stations = np.flatnonzero(free & (empty > 0))
+    if not stations.size:
         raise InputError("racks fills a floor from its stations on: give a --plan that has some")
-    mean, nearest = (
-        inside_frame(way, domain.margin) for way in (np.mean(ways, axis=0), np.min(ways, axis=0))
-    )
-    possible = inside_frame(free & (empty == 0), domain.margin) & np.isfinite(mean)
+    every = jnp.ones(stations.size, bool)
+    ways = np.asarray(goal_distances(jnp.asarray(free), jnp.asarray(stations), every))
+    ways = np.asarray(inside_frame(ways.T.reshape(*free.shape, -1), domain.margin))
+    mean, nearest = ways.mean(axis=-1), ways.min(axis=-1)
+    possible = inside_frame(free & (empty == 0), domain.margin)
+    possible &= (ways < distance_type(free.size)[1]).all(axis=-1)
     row, column = np.indices(shape)
     fields = np.stack([mean, nearest, row, column])
     fields = np.where(possible, fields, 0)
@@ -62,24 +66,10 @@ def racks(config: RacksConfig, canvas: Canvas) -> Generator:
         order = _WHOLE * fields[0] + (counts.astype(jnp.int32)[:, None, None] * fields[1:]).sum(0)
         first = jnp.argsort(jnp.where(rack, order, far).reshape(-1), stable=True)[:shelves]
         shelf = jnp.zeros(rack.size, bool).at[first].set(True).reshape(shape) & rack
-        pad = jnp.pad(shelf, 1)
-        rows, columns = pad[:-2, 1:-1] | pad[2:, 1:-1], pad[1:-1, :-2] | pad[1:-1, 2:]
+        right, left, down, up = (shift(shelf, move, False) for move in MOVES)
+        rows, columns = up | down, left | right
         sides, ends = jnp.where(upright, columns, rows), jnp.where(upright, rows, columns)
         served = sides | (ends & (solution[11] > 0))
         return jnp.where(shelf, 1, jnp.where(served & possible, 2, 0)).astype(jnp.int8)
 
     return Generator(_SIZE, 0, lambda solutions, steps: jax.vmap(draw)(solutions))
-
-
-def walk(free: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Count the moves from a cell (row, column) over `free` cells (bool [H, W]) to each.
-
-    float [H, W], infinite where no way leads.
-    """
-    moves = np.full(free.shape, np.inf)
-    reached, number = np.zeros_like(free), 0
-    reached[tuple(start)] = True
-    while reached.any():
-        moves[reached] = number
-        reached, number = ndimage.binary_dilation(reached) & free & np.isinf(moves), number + 1
-    return moves

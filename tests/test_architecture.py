@@ -31,7 +31,7 @@ ALLOWED = {
     "progress": set(),
     "registry": {"types"},
     "nca": {"types", "generators", "grid", "guidance"},
-    "racks": {"types", "generators"},
+    "racks": {"types", "generators", "grid", "simulation"},
     "generators": {"nca", "racks", "types", "ranges", "grid", "guidance", "lazy", "registry"},
     "repairs": {"types", "ranges", "grid", "lazy", "native", "devices", "progress"},
     "simulation": {"types", "ranges", "grid", "guidance", "lazy", "native", "io"} | PLUGS,
@@ -302,7 +302,7 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_028,
+    "lines": 33_018,
     "files": 201,
     "records": 195,
     "public names": 1_242,

@@ -8,7 +8,6 @@ from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.hall import HallConfig
 from qdenv.generators import GENERATORS, Canvas, RacksConfig
 from qdenv.grid import draw
-from qdenv.racks import walk
 from qdenv.types import InputError
 
 WALLS = ["?" * 20] * 5 + ["?" * 14 + "#" * 6] * 5  # an L
@@ -56,12 +55,6 @@ def test_every_solution_holds_shelves_near_the_stations_and_walls_where_they_wer
         assert (layout == hall.tiles.index("@")).sum() <= 30
     assert len({layout.tobytes() for layout in layouts}) > 40
     np.testing.assert_array_equal(grown(hall, solutions[7:8])[0], layouts[7])
-
-
-def test_moves_are_counted_around_walls():
-    free = np.array([[1, 1, 1], [0, 0, 1], [1, 1, 1], [0, 0, 0], [1, 1, 1]], bool)
-    expected = [[0, 1, 2], [np.inf, np.inf, 3], [6, 5, 4], [np.inf] * 3, [np.inf] * 3]
-    np.testing.assert_array_equal(walk(free, np.array([0, 0])), expected)
 
 
 def test_a_warehouse_has_racks_from_its_own_stations():
