@@ -13,7 +13,7 @@ from experiments.pieces import say
 from qdenv.domains.base import Domain
 from qdenv.grid import checksum
 from qdenv.io.files import write_csv
-from qdenv.io.tables import read_table
+from qdenv.io.records import read_table
 from qdenv.run.executors import ClusterExecutor
 from qdenv.simulation.mapf.negotiated.settings import EFFORTS
 from qdenv.simulation.mapf.pbs.settings import PbsConfig

@@ -15,7 +15,7 @@ from experiments.pieces import Drawn, Experiment, Folders, say, table
 from experiments.published import MAZES
 from qdenv.agent.evaluate import evaluate_agent, without_ring
 from qdenv.io.files import write_csv
-from qdenv.io.tables import read_table
+from qdenv.io.records import read_table
 from qdenv.simulation.maze.policy import Weights, load_weights
 from qdenv.simulation.maze.world import WALL
 from qdenv.stats import sample_of, wilson_interval

@@ -14,7 +14,7 @@ from experiments.pieces import Drawn, Experiment, Folders, Piece, say, table
 from experiments.published import FLEETS
 from qdenv.generators import GENERATORS
 from qdenv.io.files import write_csv
-from qdenv.io.tables import read_table
+from qdenv.io.records import read_table
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import Sample, sample_of
 from qdenv.study.elites import SIZES, finish, grow_elite

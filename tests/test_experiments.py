@@ -24,7 +24,7 @@ from experiments.ledger import Run, read_runs
 from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.io.tables import read_rows
+from qdenv.io.records import read_rows
 from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 

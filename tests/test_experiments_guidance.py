@@ -6,7 +6,7 @@ import pytest
 from small_warehouse import ROWS
 
 from experiments import guidance
-from qdenv.io.tables import read_rows
+from qdenv.io.records import read_rows
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

@@ -21,7 +21,7 @@ from experiments.published import TABLE_4
 from experiments.runs import SavedRun, read_summary, summarise
 from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
-from qdenv.io.tables import read_rows
+from qdenv.io.records import read_rows
 from qdenv.ops.costs import cpu_seconds
 from qdenv.types import InputError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import STUDY_DATA
 
-from qdenv.io.planviz import planviz, write_planviz
+from qdenv.io.trajectories import planviz, write_paths
 
 # As PlanViz moves an agent of the action model without turns: row, column.
 STEPS = {"R": (0, 1), "L": (0, -1), "D": (1, 0), "U": (-1, 0), "W": (0, 0)}
@@ -26,7 +26,7 @@ def test_a_run_is_written_so_that_it_can_be_replayed(width, tmp_path):
     positions = 20 * width + width // 2 + np.concatenate([np.zeros((1, 3), int), moves]).cumsum(0)
     goals, finished = rng.integers(0, 30 * width, positions.shape), np.zeros(moves.shape, bool)
     finished[[1, 3, 2], [0, 0, 2]] = True
-    write_planviz(tmp_path / "run.json", positions, goals, finished, width)
+    write_paths(tmp_path / "run.json", positions, goals, finished, width)
     content = json.loads((tmp_path / "run.json").read_text())
     for agent in range(3):
         expected = [list(divmod(int(cell), width)) for cell in positions[:, agent]]

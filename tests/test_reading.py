@@ -14,8 +14,7 @@ import pytest
 
 from qdenv.io.arrays import Column, read_arrays, read_state, write_arrays, write_state
 from qdenv.io.files import read_text
-from qdenv.io.records import parse_json, read_json, structured
-from qdenv.io.tables import read_table
+from qdenv.io.records import parse_json, read_json, read_table, structured
 from qdenv.simulation.maze.policy import SHIPPED_AGENT, load_weights
 from qdenv.types import DamagedError, InputError
 

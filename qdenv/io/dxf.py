@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.io.facts import facts_beside
-from qdenv.io.files import MEGABYTE, damaged, read_bytes, write_atomically
+from qdenv.io.files import MEGABYTE, damaged, parsing, read_bytes, write_atomically
 from qdenv.io.formats import need_library
 from qdenv.io.images import colours_of
 from qdenv.io.lanes import side_of
@@ -81,16 +81,12 @@ def read_dxf(path: Path) -> Drawing:
     Curves count as the lines between their ends.
     """
     ezdxf, content = _ezdxf(), read_bytes(path, _MAX_BYTES)
-    try:
+    with parsing(path, "a DXF drawing"):
         text = io.StringIO(content.decode("utf-8", "surrogateescape").replace("\r\n", "\n"))
         document = ezdxf.read(text)
         facts = json.loads(dict(document.header.custom_vars.properties).get(_FACTS, "{}"))
         scale = ezdxf.units.conversion_factor(document.units or _METRES, _METRES)
         shapes, others = _shapes(document.modelspace(), scale)
-    except InputError:
-        raise
-    except Exception as error:  # whatever a parser stumbles over in a damaged file
-        raise damaged(path, f"not a DXF drawing: {error}") from error
     beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)}
     layers, side = facts.get("layers"), facts.get("cell")
     if not isinstance(layers, dict) or not side:

@@ -233,6 +233,17 @@ def damaged(source: Path | str, reason: object) -> DamagedError:
     return DamagedError(f"{source}: cannot be read ({reason})")
 
 
+@contextlib.contextmanager
+def parsing(path: Path, what: str) -> Iterator[None]:
+    """Say of a damaged file, whatever a library stumbles over in it, that it is not `what`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise damaged(path, f"not {what}: {error}") from error
+
+
 def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
     """Read a file, or what a pipe gives; raise InputError if it cannot be read, or is bigger."""
     try:

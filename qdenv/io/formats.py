@@ -26,8 +26,8 @@ class Format(NamedTuple):
     beside: tuple[str, ...] = ()  # endings of files that are written beside
 
 
-_LAYOUTS, _MAPS, _RHCR = "qdenv.io.layouts", "qdenv.io.maps", "qdenv.io.rhcr"
-_ROADS = "qdenv.io.lanes"
+_LAYOUTS, _MAPS = "qdenv.io.layouts", "qdenv.io.maps"
+_IMAGES, _ROADS = "qdenv.io.images", "qdenv.io.lanes"
 _ROBOTS, _LANES = ("starts", "tasks"), ("weights", "cell", "name")
 _PLAIN = " .@#X"  # floor and obstacles, which mean the same in every format
 LIBRARIES = {".xlsx": "openpyxl", ".dxf": "ezdxf"}  # that need to be installed, by endings
@@ -72,23 +72,20 @@ FORMATS: dict[str, Format] = {
     "rhcr": Format(
         "map or grid of RHCR",
         {".grid": ("weights", "starts"), ".map": ("starts", "maxtime")},
-        f"{_RHCR}:read_rhcr",
-        f"{_RHCR}:write_rhcr",
+        f"{_MAPS}:read_rhcr",
+        f"{_MAPS}:write_rhcr",
     ),
     "pogema": Format(
         "a map of POGEMA", {".txt": ()}, f"{_MAPS}:read_pogema", f"{_MAPS}:write_pogema"
     ),
     "png": Format(
-        "a picture, one pixel a cell",
-        {".png": ()},
-        "qdenv.io.images:read_png",
-        "qdenv.io.images:write_png",
+        "a picture, one pixel a cell", {".png": ()}, f"{_IMAGES}:read_png", f"{_IMAGES}:write_png"
     ),
     "xlsx": Format(
         "a sheet of Excel, one tile a cell",
         {".xlsx": ()},
-        "qdenv.io.sheets:read_xlsx",
-        "qdenv.io.sheets:write_xlsx",
+        f"{_IMAGES}:read_xlsx",
+        f"{_IMAGES}:write_xlsx",
     ),
     "dxf": Format(
         "a drawing of CAD, a layer for each tile",

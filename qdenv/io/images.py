@@ -1,13 +1,16 @@
-"""Pictures with one pixel a cell, in the colours of tiles; and which colours these are."""
+"""Coloured cells: pictures with a pixel for each, sheets of Excel (openpyxl) with a tile in each."""
 
 import io
 import json
+import warnings
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from qdenv.io.files import MEGABYTE, damaged, read_bytes, write_atomically
-from qdenv.io.layouts import Drawing, check_size
-from qdenv.types import InputError, Tile
+from qdenv.io.files import MEGABYTE, damaged, parsing, read_bytes, write_atomically
+from qdenv.io.formats import need_library
+from qdenv.io.layouts import MAX_SIDE, Drawing, check_size, join_cells
+from qdenv.types import Tile
 
 # Distinct for readers with colour blindness, too, within each alphabet (tests measure it). In
 # reading a picture the first tile of a colour is meant.
@@ -26,24 +29,19 @@ COLOURS = {
     " ": "#ffffff",
 }
 _LEGEND = "qdenv tiles"  # name of the text in a file that lists its colours: {"#ffffff": "."}
-_MAX_BYTES = 32 * MEGABYTE
+_MAX_BYTES, _MAX_UNPACKED = 32 * MEGABYTE, 128 * MEGABYTE
 
 
 def read_png(path: Path) -> Drawing:
     """Read a picture in the colours of the legend in its file, or else in those of `COLOURS`."""
     from PIL import Image  # here: other formats do without
 
-    content = read_bytes(path, _MAX_BYTES)
-    try:
-        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
-            cols, rows = picture.size
-            check_size(rows, cols, f"{path}: ")  # before the pixels are unpacked
-            pixels = picture.convert("RGB").tobytes().hex()
-            legend = json.loads(picture.info.get(_LEGEND, "{}"))
-    except InputError:
-        raise
-    except Exception as error:  # whatever a parser stumbles over in a damaged file
-        raise damaged(path, f"not a picture: {error}") from error
+    content = io.BytesIO(read_bytes(path, _MAX_BYTES))
+    with parsing(path, "a picture"), Image.open(content, formats=["PNG"]) as picture:
+        cols, rows = picture.size
+        check_size(rows, cols, f"{path}: ")  # before the pixels are unpacked
+        pixels = picture.convert("RGB").tobytes().hex()
+        legend = json.loads(picture.info.get(_LEGEND, "{}"))
     known = {colour: tile for tile, colour in reversed(COLOURS.items())}
     if isinstance(legend, dict) and all(isinstance(one, str) for one in legend.values()):
         known |= {colour: tile for colour, tile in legend.items() if len(tile) == 1}
@@ -85,3 +83,52 @@ def colours_of(symbols: list[str]) -> dict[str, str]:
             colour = f"#{(int(colour[1:], 16) + 1) % 2**24:06x}"
         colours[symbol] = colour
     return colours
+
+
+def read_xlsx(path: Path) -> Drawing:
+    """Read the first sheet: a symbol in each cell, an empty one is a blank."""
+    need_library(".xlsx")
+    import openpyxl
+
+    content = read_bytes(path, _MAX_BYTES)
+    with parsing(path, "a sheet of Excel"):
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            if sum(one.file_size for one in archive.infolist()) > _MAX_UNPACKED:
+                raise damaged(path, f"more than {_MAX_UNPACKED // MEGABYTE} MB of content")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of styles and extensions that do not matter here
+            book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+            sheet, *others = book.worksheets
+            values = sheet.iter_rows(max_row=MAX_SIDE + 1, max_col=MAX_SIDE + 1, values_only=True)
+            table = [["" if one is None else str(one) for one in line] for line in values]
+    # Sheets remember empty cells that once had a colour.
+    while table and not any(table[-1]):
+        table.pop()
+    width = max((col + 1 for line in table for col, one in enumerate(line) if one), default=0)
+    table = [(line + [""] * width)[:width] for line in table]
+    names = ", ".join(other.title for other in others)
+    lost = [f"sheets beyond the first one ({names}) are"] * bool(others)
+    return Drawing(join_cells(path, table), lost=tuple(lost))
+
+
+def write_xlsx(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> None:
+    """Write a sheet with coloured cells; a blank is written as ``.``, for Excel shows neither."""
+    need_library(".xlsx")
+    import openpyxl
+
+    book, file = openpyxl.Workbook(), io.BytesIO()
+    sheet = book.active
+    sheet.title = "layout"
+    colours = colours_of(sorted({symbol for row in drawing.rows for symbol in row}))
+    fills = {
+        symbol: openpyxl.styles.PatternFill("solid", fgColor=colour[1:])
+        for symbol, colour in colours.items()
+    }
+    for row, line in enumerate(drawing.rows, 1):
+        for col, symbol in enumerate(line, 1):
+            cell = sheet.cell(row, col, "." if symbol == " " else symbol)
+            cell.fill, cell.data_type = fills[symbol], "s"
+    for col in range(1, len(drawing.rows[0]) + 1):
+        sheet.column_dimensions[openpyxl.utils.get_column_letter(col)].width = 2.5
+    book.save(file)
+    write_atomically(path, file.getvalue())

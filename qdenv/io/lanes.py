@@ -16,7 +16,7 @@ import numpy as np
 
 from qdenv.grid import move_steps
 from qdenv.guidance import existing_moves
-from qdenv.io.files import write_atomically
+from qdenv.io.files import write_atomically, write_json
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import BLANKS, Drawing, free_cells
 from qdenv.types import InputError, Tile
@@ -80,10 +80,6 @@ def _lost(drawing: Drawing, meanings: Mapping[str, Tile], graph: _Graph | None =
     return lost
 
 
-def _write_json(path: Path, content: Any) -> None:
-    write_atomically(path, f"{json.dumps(content, indent=1)}\n".encode())
-
-
 def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write LIF; a station stands at each cell that is more than floor."""
     graph, name = _make_graph(path, drawing, meanings), _name_of(path, drawing)
@@ -119,7 +115,7 @@ def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
     meta = {"projectIdentification": name, "creator": "qdenv", "exportTimestamp": now}
     layout = {"layoutId": name, "layoutVersion": "1", "nodes": nodes, "edges": edges}
     layouts = [{**layout, "stations": stations}]
-    _write_json(path, {"metaInformation": {**meta, "lifVersion": "1.0.0"}, "layouts": layouts})
+    write_json(path, {"metaInformation": {**meta, "lifVersion": "1.0.0"}, "layouts": layouts})
     return _lost(drawing, meanings, graph)
 
 
@@ -156,7 +152,7 @@ def write_nav2(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         place = {"type": "MultiLineString", "coordinates": [line]}
         features.append({"type": "Feature", "properties": edge, "geometry": place})
     name = _name_of(path, drawing)
-    _write_json(path, {"type": "FeatureCollection", "name": name, "features": features})
+    write_json(path, {"type": "FeatureCollection", "name": name, "features": features})
     return _lost(drawing, meanings)
 
 

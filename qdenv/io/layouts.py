@@ -7,7 +7,6 @@ rows are what is simulated. JSON and a CSV of another form hold costs of moves a
 """
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +16,7 @@ import numpy as np
 
 from qdenv.grid import draw, parse
 from qdenv.io.facts import FENCE, facts_beside, make_facts, parse_facts
-from qdenv.io.files import damaged, read_text, write_atomically
+from qdenv.io.files import damaged, read_text, write_atomically, write_json
 from qdenv.io.formats import (
     ALL_ENDINGS,
     LIBRARIES,
@@ -307,8 +306,7 @@ def write_json_rows(path: Path, drawing: Drawing, _: Mapping[str, Tile]) -> None
     size = {"n_row": len(rows), "n_col": len(rows[0])}
     parts = {"starts": drawing.starts, "tasks": drawing.tasks, "weights": drawing.weights}
     stated = {name: part for name, part in parts.items() if part}
-    text = json.dumps({**size, **drawing.details, "layout": rows, **stated}, indent=1)
-    write_atomically(path, f"{text}\n".encode())
+    write_json(path, {**size, **drawing.details, "layout": rows, **stated})
 
 
 def write_text_rows(path: Path, drawing: Drawing, _: Mapping[str, Tile]) -> None:

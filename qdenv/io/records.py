@@ -1,11 +1,12 @@
-"""JSON of limited size, and records from it: every field present, known and of its own type."""
+"""JSON and CSV of limited size, as records: every field present, known and of its own type."""
 
+import csv
 import dataclasses
 import json
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
@@ -18,7 +19,8 @@ from qdenv.types import InputError
 _MAX_BYTES = 32 * MEGABYTE  # of a file
 _MAX_DEPTH = 40  # nested brackets
 _MAX_VALUES = 1_000_000
-_MAX_DIGITS = 40  # of a whole number
+_MAX_DIGITS = 40  # of a whole number, characters of a cell
+_MAX_COLUMNS, _MAX_ROWS = 1000, 2_000_000  # of a table, far beyond what a run writes
 _MAX_SHOWN = 40  # characters of a wrong value in a message
 _INT_LIMIT = 2**63  # what an array can hold
 # Possessive quantifiers: without them the engine stores a state for every escaped character, which
@@ -35,6 +37,7 @@ _TYPE_NAMES = {
 Choices = Mapping[str, Registry]
 _NO_CHOICES: Choices = MappingProxyType({})
 T = TypeVar("T")
+Row = TypeVar("Row", bound=tuple)
 
 
 def read_json(path: Path | str, kind: type[T]) -> T:
@@ -225,3 +228,64 @@ def _wrong(place: str, reason: object) -> InputError:
 def _shown(value: Any) -> str:
     text = json.dumps(value, default=str)
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
+
+
+def read_rows(path: Path | str) -> Iterator[dict[str, str]]:
+    """Read a CSV file with a head; yield the cells of each row by the names of the columns.
+
+    Raises InputError if it cannot be read, or is damaged, after the rows before the damage.
+    """
+    rows = csv.reader(read_text(path, what="CSV").splitlines(keepends=True), strict=True)
+    number = 0
+    try:
+        head = next(rows, [])
+        if len(set(head)) < len(head) or not 0 < len(head) <= _MAX_COLUMNS:
+            raise damaged(path, "no table: columns need names of their own")
+        for number, row in enumerate(rows, start=1):
+            if len(row) != len(head):
+                raise damaged(path, f"row {number} has {len(row)} cells, the head {len(head)}")
+            if number > _MAX_ROWS:
+                raise damaged(path, f"more than {_MAX_ROWS:,} rows")
+            yield dict(zip(head, row, strict=True))
+    except csv.Error as error:
+        raise damaged(path, f"not a CSV file after row {number}: {error}") from error
+
+
+def read_table(path: Path | str, kind: type[Row], infinite: Collection[str] = ()) -> Iterator[Row]:
+    """Read a CSV file with a record per row; yield the records.
+
+    `kind` is their NamedTuple: columns of fields that have defaults may be missing. The `infinite`
+    columns may hold infinite numbers. Raises InputError as `read_rows`, with row and column.
+    """
+    hints = get_type_hints(kind)
+    optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
+    for number, row in enumerate(read_rows(path), start=1):
+        unlike = [name for name in row if name not in hints]
+        unlike += [name for name in hints if name not in row and name not in optional]
+        if unlike:
+            raise damaged(path, f"columns {', '.join(row)}: {unlike[0]} is missing or unknown")
+        cells = {}
+        for name, text in row.items():
+            try:
+                cells[name] = parse_cell(text, hints[name], name in infinite)
+            except ValueError as error:
+                raise damaged(path, f"row {number}, {name}: {error}") from error
+        yield kind(**cells)
+
+
+def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
+    """Turn a cell into an int, a float (finite, or not NaN), a bool or a str, or ValueError."""
+    if kind is str:
+        return text
+    try:
+        if len(text) > _MAX_DIGITS:
+            raise ValueError
+        value = {"True": True, "False": False}[text] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        names = _TYPE_NAMES | {bool: "True or False"}
+        raise ValueError(f"{text[:_MAX_DIGITS]!r} is not {names[kind]}") from None
+    if kind is float and not (math.isfinite(value) or (infinite and not math.isnan(value))):
+        raise ValueError(f"{text} is no finite number")
+    if kind is int and abs(value) >= 2**63:
+        raise ValueError(f"{text} is too large")
+    return value

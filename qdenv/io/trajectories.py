@@ -5,6 +5,7 @@ its generations of 2023, 2024 and 2026 (https://github.com/MAPF-Competition/Star
 Input_Output_Format.md), which PlanViz shows.
 """
 
+import json
 import re
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv import grid
-from qdenv.io import planviz
-from qdenv.io.files import damaged, read_text, write_csv
+from qdenv.io.files import damaged, read_text, write_atomically, write_csv
 from qdenv.io.records import parse_json, structured
 
 HEAD = ("timestep", "robot", "row", "column")
@@ -21,7 +21,8 @@ _GOALS = ("goal_row", "goal_column", "finished")  # of our own lines
 _MOST = 20_000_000  # robots times timesteps of a run; a hostile file may not fill the memory
 _JSON_BYTES = 256 * 2**20
 # Action -> (rows, columns) of a step; of robots that turn a step leads ahead, clockwise from east.
-_STEPS = dict(zip(planviz.MOVES[1:], grid.MOVES, strict=True))
+_LETTERS = "WRLDU"  # of the moves in the order of `grid`
+_STEPS = dict(zip(_LETTERS[1:], grid.MOVES, strict=True))
 _HEADINGS = "ESWN"
 _AHEAD = np.array([_STEPS[letter] for letter in "RDLU"])
 _WAITS = "WT"  # T: the planner was too late
@@ -65,17 +66,75 @@ def write_paths(
     """Write a run by the ending of its file: JSON for PlanViz, else CSV with a line a robot.
 
     The lines also hold the goal that the robot heads for (goal_row, goal_column), and 1 under
-    "finished" where it has just finished a task. The arrays are those of `write_planviz`. Raises
-    InputError if the place cannot be written to.
+    "finished" where it has just finished a task.
+
+    Args:
+        path: file to write.
+        positions: int [T + 1, A], cells (row * width + column) before each step and at the end.
+        goals: int [T + 1, A], the cells that agents head for at these times.
+        finished: bool [T, A], whether the step finished the task.
+        width: columns of the layout.
+
+    Raises:
+        InputError: the place cannot be written to.
     """
     if path.suffix.lower() == ".json":
-        planviz.write_planviz(path, positions, goals, finished, width)
+        text = json.dumps(planviz(positions, goals, finished, width))
+        write_atomically(path, f"{text}\n".encode())
         return
     times, robots = np.indices(positions.shape).reshape(2, -1)
     done = np.concatenate([np.zeros_like(finished[:1]), finished]).astype(int)
     cells, ends = (np.divmod(part.reshape(-1), width) for part in (positions, goals))
     columns = np.stack([times, robots, *cells, *ends, done.reshape(-1)], axis=1)
     write_csv(path, (*HEAD, *_GOALS), columns.tolist())
+
+
+def planviz(
+    positions: np.ndarray, goals: np.ndarray, finished: np.ndarray, width: int
+) -> dict[str, Any]:
+    """Describe a run (see `write_paths`) as the League's JSON of 2024 without turns, JSON-ready.
+
+    A path is a row of the moves R, L, D, U and W. Each goal of an agent is a task with one errand,
+    scheduled when the agent sets out for it.
+    """
+    steps = np.diff(positions, axis=0)
+    # Up and down come last: in a layout of one column they are the same steps as right and left.
+    kinds = [steps == step for step in grid.move_steps(width)[::-1]]
+    names = np.array([*_LETTERS])
+    letters = names[::-1][np.argmax(np.stack(kinds), axis=0)] if len(steps) else names[:0]
+    tasks: list[list[Any]] = []
+    events: list[list[int]] = []
+    schedules = []
+    for agent in range(positions.shape[1]):
+        ends = [int(step) + 1 for step in np.flatnonzero(finished[:, agent])]
+        schedule = []
+        for since, end in zip([0, *ends], [*ends, None], strict=True):
+            if end is not None:
+                events.append([end, agent, len(tasks), 1])
+            schedule.append(f"{since}:{len(tasks)}")
+            tasks.append([len(tasks), since, [int(x) for x in divmod(goals[since, agent], width)]])
+        schedules.append(",".join(schedule))
+    paths = [",".join(column) for column in letters.T] if len(steps) else [""] * len(schedules)
+    starts = [[int(cell) // width, int(cell) % width, "N/A"] for cell in positions[0]]
+    return {
+        "actionModel": "MAPF",
+        "version": "2024 LoRR",
+        "AllValid": "Yes",
+        "teamSize": len(starts),
+        "start": starts,
+        "numTaskFinished": len(events),
+        "sumOfCost": int(steps.size),
+        "makespan": len(steps),
+        "actualPaths": paths,
+        "plannerPaths": paths,
+        "plannerTimes": [],
+        "errors": [],
+        "actualSchedule": schedules,
+        "plannerSchedule": schedules,
+        "scheduleErrors": [],
+        "events": sorted(events),
+        "tasks": tasks,
+    }
 
 
 def read_run(path: str | Path) -> Trajectories:

@@ -34,8 +34,7 @@ from qdenv.generators import GENERATORS, GuidedNcaConfig, NcaConfig
 from qdenv.grid import NUM_MOVES
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import damaged, locked, refuse_second_run, write_csv, write_json
-from qdenv.io.records import read_json, structured
-from qdenv.io.tables import parse_cell, read_rows, read_table
+from qdenv.io.records import parse_cell, read_json, read_rows, read_table, structured
 from qdenv.lazy import jax
 from qdenv.run.archive import ArchiveSchema, Elite, SavedArchive
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
