@@ -54,21 +54,6 @@ class Generator(NamedTuple):
     guide: Guide | None = None
 
 
-# An entry's maker is called as make(settings, canvas) and returns a `Generator`.
-GENERATORS = Registry(
-    "generator",
-    "qdenv.generators",
-    {
-        "nca": "qdenv.generators:NCA_GENERATOR",
-        "direct": "qdenv.generators:DIRECT_GENERATOR",
-        "racks": "qdenv.generators:RACKS_GENERATOR",
-        "guided-nca": "qdenv.generators:GUIDED_NCA_GENERATOR",
-        "costs": "qdenv.generators:COSTS_GENERATOR",
-        "update": "qdenv.generators:UPDATE_GENERATOR",
-    },
-)
-
-
 # A guidance that any floor can have, by its name in `guidance.GUIDANCE`.
 Base: TypeAlias = Literal["none", "crisscross"]
 
@@ -135,12 +120,19 @@ class RacksConfig:
     """The numbers of the generator of racks in rows, twelve numbers a solution (`racks`)."""
 
 
-DIRECT_GENERATOR = Entry(DirectConfig, "qdenv.generators:direct")
-RACKS_GENERATOR = Entry(RacksConfig, "qdenv.racks:racks")
-NCA_GENERATOR = Entry(NcaConfig, "qdenv.nca:nca")
-GUIDED_NCA_GENERATOR = Entry(GuidedNcaConfig, "qdenv.nca:nca")
-COSTS_GENERATOR = Entry(CostsConfig, "qdenv.generators:costs")
-UPDATE_GENERATOR = Entry(UpdateConfig, "qdenv.nca:update")
+# An entry's maker is called as make(settings, canvas) and returns a `Generator`.
+GENERATORS = Registry(
+    "generator",
+    "qdenv.generators",
+    {
+        "nca": Entry(NcaConfig, "qdenv.nca:nca"),
+        "direct": Entry(DirectConfig, "qdenv.generators:direct"),
+        "racks": Entry(RacksConfig, "qdenv.racks:racks"),
+        "guided-nca": Entry(GuidedNcaConfig, "qdenv.nca:nca"),
+        "costs": Entry(CostsConfig, "qdenv.generators:costs"),
+        "update": Entry(UpdateConfig, "qdenv.nca:update"),
+    },
+)
 
 
 def choose_tiles(cells: Array) -> jax.Array:

@@ -4,9 +4,8 @@ A choice is a settings record: a frozen dataclass with defaults for all its fiel
 says what is chosen and whose values are its own numbers. A `Registry` pairs each type with a name
 (for command lines and JSON) and with the function that makes the thing.
 
-Three ways in, all equal: the package's own (named as ``module:attribute``, imported when
-used), entry points of installed packages, and `Registry.register` in a notebook. An entry point
-names an `Entry`::
+Three ways in, all equal: the package's own, entry points of installed packages, and
+`Registry.register` in a notebook. An entry point names an `Entry`, which is imported when used::
 
     [project.entry-points."qdenv.planners"]
     greedy = "my_package:GREEDY"        # GREEDY = qdenv.Entry(GreedyConfig, make_greedy)
@@ -33,15 +32,16 @@ class Entry(NamedTuple):
 class Registry:
     """Choices of one kind, by name and by the type of their settings."""
 
-    def __init__(self, what: str, group: str, builtin: Mapping[str, str]) -> None:
+    def __init__(self, what: str, group: str, builtin: Mapping[str, Entry | str]) -> None:
         """Import nothing yet.
 
         A choice is called `what` in messages, like "planner". Installed packages add some by entry
-        points of a `group`; `builtin` maps names to ``module:attribute`` of an `Entry`.
+        points of a `group`; `builtin` maps names to an `Entry`, or ``module:attribute`` of one.
         """
         self._what, self._group = what, group
         self.shipped = tuple(builtin)  # the package's own names
-        self._references, self._looked = dict(builtin), False
+        self._references: dict[str, Entry | str] = dict(builtin)
+        self._looked = False  # for plug-ins
         self._entries: dict[str, Entry] = {}
 
     def register(self, name: str, entry: Entry) -> None:
@@ -62,7 +62,7 @@ class Registry:
             raise InputError(f"unknown {self._what} {name!r}: {choices(name, self.names())}")
         if name not in self._entries:
             reference = self._references[name]
-            entry = self._import(name, reference)
+            entry = self._import(name, reference) if isinstance(reference, str) else reference
             if not isinstance(entry, Entry):
                 raise InputError(
                     f"{self._what} {name!r}: {reference} is no qdenv.Entry(settings, make)"

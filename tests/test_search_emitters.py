@@ -5,8 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from search_harness import CONFIGS, DIM, compiled, extras_of, iterate, on_host, score_of
 
-from qdenv.search.cma_mae import CmaMaeConfig
-from qdenv.search.emitters import is_flat, rank, restart_rule
+from qdenv.search.cma_mae import CmaMaeConfig, is_flat, rank, restart_rule
 
 
 def test_a_masked_row_changes_nobodys_rank():

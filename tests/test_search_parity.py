@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.emitters import (
+from qdenv.search.cma_mae import (
     RANKERS,
     SELECTIONS,
     EmittersState,

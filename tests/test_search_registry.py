@@ -20,8 +20,6 @@ from qdenv.search.strategies import STRATEGIES
 from qdenv.search.strategies.cma_es import Isotropic
 from qdenv.types import InputError
 
-BUILTIN = "qdenv.search.settings:CMA_MAE"
-
 
 def test_names_and_settings_find_each_other():
     own = {"cma-mae", "cma-me", "cma-mae-screened", "map-elites", "cma-es", "random", "dsage"}
@@ -52,7 +50,7 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
 
         return Algorithm(init, ask, tell, lambda archive: archive, 4)
 
-    algorithms = Registry("algorithm", "qdenv.algorithms", {"cma-mae": BUILTIN})
+    algorithms = Registry("algorithm", "qdenv.algorithms", {"cma-mae": ALGORITHMS.entry("cma-mae")})
     algorithms.register("ring", Entry(RingConfig, ring))
     monkeypatch.setattr(registry, "ALGORITHMS", algorithms)
     search = compiled(RingConfig(radius=0.7))

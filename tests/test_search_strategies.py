@@ -9,7 +9,7 @@ import pytest
 from evosax.algorithms.distribution_based.base import DistributionBasedAlgorithm
 from search_harness import QUICK
 
-from qdenv.search.emitters import make_member
+from qdenv.search.cma_mae import make_member
 from qdenv.search.strategies import STRATEGIES, make_strategy
 from qdenv.search.strategies.base import Strategy, full_rates, rates_table
 from qdenv.search.strategies.cma_es import Full, refresh_gap

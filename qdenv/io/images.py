@@ -1,4 +1,4 @@
-"""Coloured cells: pictures with a pixel for each, sheets of Excel (openpyxl) with a tile in each."""
+"""Coloured cells: pictures with a pixel for each, Excel sheets (openpyxl) with a tile in each."""
 
 import io
 import json

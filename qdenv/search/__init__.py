@@ -4,8 +4,7 @@
     archive         the grid archive, elitist or soft (a qdax repertoire)
     base            `Algorithm`: init, ask, tell; the archives of a search; compiled for the host
     strategies/     evolution strategies: evosax algorithms, ours and evosax' own
-    emitters        strategies that an archive ranks, and that restart from its elites
-    cma_mae         CMA-MAE, CMA-ME, CMA-ES
+    cma_mae         CMA-MAE, CMA-ME, CMA-ES: emitters, strategies that an archive ranks
     map_elites      MAP-Elites, random search
     model           the surrogate of a search
     dsage           the search of tiles on a surrogate

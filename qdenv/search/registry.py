@@ -2,7 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
-from qdenv.registry import Registry
+from qdenv.registry import Entry, Registry
+from qdenv.search import settings
 from qdenv.types import InputError
 
 if TYPE_CHECKING:  # a registry imports an algorithm, and qdax with it, when one is looked up
@@ -14,14 +15,14 @@ ALGORITHMS = Registry(
     "algorithm",
     "qdenv.algorithms",
     {
-        "cma-mae": "qdenv.search.settings:CMA_MAE",
-        "cma-me": "qdenv.search.settings:CMA_ME",
-        "cma-mae-screened": "qdenv.search.settings:SCREENED",
-        "map-elites": "qdenv.search.settings:MAP_ELITES",
-        "cma-es": "qdenv.search.settings:CMA_ES",
-        "random": "qdenv.search.settings:RANDOM_SEARCH",
-        "dsage": "qdenv.search.settings:DSAGE",
-        "rearrange": "qdenv.search.settings:REARRANGE",
+        "cma-mae": Entry(settings.CmaMaeConfig, "qdenv.search.cma_mae:cma_mae"),
+        "cma-me": Entry(settings.CmaMeConfig, "qdenv.search.cma_mae:cma_mae"),
+        "cma-mae-screened": Entry(settings.ScreenedConfig, "qdenv.search.screening:screened"),
+        "map-elites": Entry(settings.MapElitesConfig, "qdenv.search.map_elites:map_elites"),
+        "cma-es": Entry(settings.CmaEsConfig, "qdenv.search.cma_mae:cma_es"),
+        "random": Entry(settings.RandomSearchConfig, "qdenv.search.map_elites:random_search"),
+        "dsage": Entry(settings.DsageConfig, "qdenv.search.dsage:dsage"),
+        "rearrange": Entry(settings.RearrangeConfig, "qdenv.search.rearrange:rearrange"),
     },
 )
 

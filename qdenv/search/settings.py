@@ -16,12 +16,11 @@ from qdenv.ranges import (
     Share,
     check_range,
 )
-from qdenv.registry import Entry
 from qdenv.surrogates.settings import PUBLISHED, SurrogateConfig
 from qdenv.types import InputError
 
-# Names of `strategies.STRATEGIES`, which a user may add to, of `emitters.RANKERS` and of
-# `emitters.SELECTIONS`, repeated so that a command line has them without importing jax.
+# Names of `strategies.STRATEGIES`, which a user may add to, of `cma_mae.RANKERS` and of
+# `cma_mae.SELECTIONS`, repeated so that a command line has them without importing jax.
 Strategy = Annotated[Literal[
     "iso", "sep", "full", "lm_ma",
     "CMA_ES", "CR_FM_NES", "DiscoveredES", "Open_ES", "PGPE", "SimpleES", "SNES",
@@ -216,11 +215,3 @@ class DsageConfig(Ranged):
 
 
 DSAGE_PUBLISHED = DsageConfig(inner_iterations=10_000, downsample=(50, 25), surrogate=PUBLISHED)
-CMA_MAE = Entry(CmaMaeConfig, "qdenv.search.cma_mae:cma_mae")
-CMA_ME = Entry(CmaMeConfig, "qdenv.search.cma_mae:cma_mae")
-SCREENED = Entry(ScreenedConfig, "qdenv.search.screening:screened")
-MAP_ELITES = Entry(MapElitesConfig, "qdenv.search.map_elites:map_elites")
-CMA_ES = Entry(CmaEsConfig, "qdenv.search.cma_mae:cma_es")
-RANDOM_SEARCH = Entry(RandomSearchConfig, "qdenv.search.map_elites:random_search")
-DSAGE = Entry(DsageConfig, "qdenv.search.dsage:dsage")
-REARRANGE = Entry(RearrangeConfig, "qdenv.search.rearrange:rearrange")
