@@ -157,4 +157,4 @@ def test_interrupted_and_resumed_with_other_workers_it_ends_the_same(
 def test_better_means_better_at_both_numbers_of_robots():
     good, bad = Difference(5, 1, 9, True), Difference(2, -0.1, 4, False)
     for changes, better in (((good, good), True), ((good, bad), False), ((bad, good), False)):
-        assert studies.Judged(None, np.zeros((2, 3)), changes).is_better is better
+        assert studies.Judged("racks", None, np.zeros((2, 3)), changes).is_better is better

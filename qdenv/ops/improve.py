@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple, Unpack
 import numpy as np
 from tyro.conf import arg
 
-from qdenv.domains.base import DOMAINS, Domain, make_domain
+from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.domains.hall import GENERATED
 from qdenv.interrupt import advise
 from qdenv.io.files import damaged, locked, write_csv, write_json
@@ -147,7 +147,7 @@ def improve_folder(
     if config.ending not in ENDINGS:  # it is part of names that are written
         raise damaged(folder / SETTINGS, f"ending: must be one of {', '.join(ENDINGS)}")
     with locked(folder):  # nothing is written through a link either
-        domain, found, lanes = make_domain(config.domain), [], None
+        domain, found, lanes = make_domain(config.domain), {}, None
         plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
         advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
         for section, (title, _) in studies.SECTIONS.items():
@@ -159,23 +159,20 @@ def improve_folder(
                 continue
             if not (folder / section / "config.json").exists():
                 say(f"{title}:")
-            _search(folder, section, plan, domain, config, progress, execution)
+            _search(folder, section, plan, config, progress, execution)
             if section == "lanes":
                 lanes = studies.searched_lanes(plan, folder)
-            found += studies.candidates_of(plan, folder, section, lanes)
+            found[section] = studies.list_candidates(plan, folder, section, lanes)
         advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
         with Bar("judging") as bar:
             judged = studies.judge(plan, found, config, bar)
-        for one in judged:
-            studies.check_candidate(one.candidate, plan, domain)
-        return _finish(folder, plan, domain, config, judged)
+        return _finish(folder, plan, config, judged)
 
 
 def _search(
     folder: Path,
     section: str,
     plan: Plan,
-    domain: Domain,
     config: Any,
     progress: bool,
     execution: Execution,
@@ -195,15 +192,12 @@ def _search(
             loop.resume(path, progress, None, execution, minutes - spent)
         return
     evaluations = studies.count_evaluations(plan, config, section)
-    if section == "lanes":
-        run_config = studies.lanes_config(plan, config, evaluations)
-    else:
-        start = _choose_start(folder, plan, domain, config) if section == "floor" else plan.layout
-        run_config = studies.floor_config(section, start, domain, config, evaluations)
+    start = _choose_start(folder, plan, config) if section == "floor" else plan.layout
+    run_config = studies.search_config(section, plan, start, config, evaluations)
     loop.train(run_config, path, progress, execution, minutes)
 
 
-def _choose_start(folder: Path, plan: Plan, domain: Domain, config: Any) -> np.ndarray:
+def _choose_start(folder: Path, plan: Plan, config: Any) -> np.ndarray:
     """Choose the best of the plan, racks in rows and floors that generators draw (int8 [H, W]).
 
     By whole runs: in the short ones of a search, floors that fill up later look as good.
@@ -213,7 +207,7 @@ def _choose_start(folder: Path, plan: Plan, domain: Domain, config: Any) -> np.n
     best = (studies.mean_throughput(plan, config.fleet, range(2)).mean(), plan.name, plan.layout)
     lines = [("floor", "throughput"), (plan.name, f"{best[0]:.3f}")]
     with Bar("growing generators of the zoo") as bar:
-        zoo = [*studies.zoo_floors(domain, config.seed, bar)]
+        zoo = [*studies.zoo_floors(plan.domain, config.seed, bar)]
     rows = studies.best_layouts(folder / "rows") if (folder / "rows").exists() else []
     for name, layout in [*zoo, *((f"racks in rows {n}", one) for n, one in enumerate(rows, 1))]:
         grown = plan._replace(layout=layout, costs=None)
@@ -225,7 +219,7 @@ def _choose_start(folder: Path, plan: Plan, domain: Domain, config: Any) -> np.n
     return start
 
 
-def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Sequence[Any]) -> Table:
+def _finish(folder: Path, plan: Plan, config: Any, judged: Sequence[Any]) -> Table:
     """Write and print what is better, section by section."""
     from qdenv.study import improve as studies
 
@@ -233,42 +227,42 @@ def _finish(folder: Path, plan: Plan, domain: Domain, config: Any, judged: Seque
     table = [("section", "lanes", "racks moved", *(f"{one} robots (95 %)" for one in counts))]
     if any(one.by_shelf for one in judged):
         table[0] += (f"{counts[0]}, all shelves alike",)
-    free = domain.drivable(plan.layout)
+    drivable = plan.domain.drivable
     for one in judged:
-        section, better = one.candidate.section, one.is_better
-        moved = int((domain.drivable(one.candidate.plan.layout) & ~free).sum())
+        title, lanes = studies.SECTIONS[one.section][0], one.plan.guidance
+        moved = int((drivable(one.plan.layout) & ~drivable(plan.layout)).sum())
         cells: list[str] = []
         for number, agents, change in zip(one.throughput, counts, one.changes, strict=True):
             figures = change.percent, change.low, change.high
-            facts = section, one.candidate.lanes, moved, agents, float(number.mean())
+            facts = one.section, lanes, moved, agents, float(number.mean())
             by_shelf = one.by_shelf.percent if one.by_shelf and not cells else None
-            rows.append(Improvement(*facts, *figures, by_shelf, better))
+            rows.append(Improvement(*facts, *figures, by_shelf, one.is_better))
             cells.append(str(change))
         cells += [str(one.by_shelf)] if one.by_shelf else []
-        table.append((studies.SECTIONS[section][0], one.candidate.lanes, str(moved), *cells))
-        if better:
-            _write(folder, plan, domain, one, config)
+        table.append((title, lanes, str(moved), *cells))
+        if one.is_better:
+            _write(folder, plan, one.plan, title, config)
     write_csv(folder / ROWS, Improvement._fields, rows)
     say(folder / ROWS, *format_table(table))
-    say(_draw_racks_moved(folder, plan, domain, config))
+    say(_draw_racks_moved(folder, plan, config))
     _report(folder, plan, [one for one in judged if one.is_better], config)
-    worse = [studies.SECTIONS[one.candidate.section][0] for one in judged if not one.is_better]
+    worse = [studies.SECTIONS[one.section][0] for one in judged if not one.is_better]
     if worse:
         say(f"nothing better was found by {', '.join(worse)}: no plan is written for that")
     return Table(rows, {"folder": str(folder), "settings": asdict(config)})
 
 
-def _draw_racks_moved(folder: Path, plan: Plan, domain: Domain, config: Any) -> Path:
+def _draw_racks_moved(folder: Path, plan: Plan, config: Any) -> Path:
     """Draw what the searches found over the racks that they moved."""
     from qdenv.study import improve as studies
     from qdenv.view.change import draw_racks_moved
     from qdenv.view.style import save_figure
 
-    found, free = {}, domain.drivable(plan.layout)
+    found, drivable = {}, plan.domain.drivable
     searched = [one for one in studies.SECTIONS if one != "lanes" and (folder / one).exists()]
     for section in searched:
         columns = RunDirectory.open(folder / section).archive.columns
-        moved = (domain.drivable(columns["repaired"]) & ~free).sum(axis=(1, 2))
+        moved = (drivable(columns["repaired"]) & ~drivable(plan.layout)).sum(axis=(1, 2))
         found[studies.SECTIONS[section][0]] = moved, columns["objective"]
     hers = studies.mean_throughput(plan, config.searched, range(4)).mean()
     picture = folder / "racks_moved.png"
@@ -284,7 +278,7 @@ def _report(folder: Path, plan: Plan, better: Sequence[Any], config: Any) -> Non
     from qdenv.study.improve import CROWD, SECTIONS
 
     fleet = config.fleet
-    plans = [one.candidate.plan._replace(name=SECTIONS[one.candidate.section][0]) for one in better]
+    plans = [one.plan._replace(name=SECTIONS[one.section][0]) for one in better]
     counts = fleet.agents, round(CROWD * fleet.agents)
     options: Any = {"timesteps": fleet.timesteps, "planner": fleet.planner, "seeds": 5}
     try:
@@ -293,23 +287,23 @@ def _report(folder: Path, plan: Plan, better: Sequence[Any], config: Any) -> Non
         say(f"{REPORT}: {error}")
 
 
-def _write(folder: Path, plan: Plan, domain: Domain, one: Any, config: Any) -> None:
+def _write(folder: Path, plan: Plan, after: Plan, title: str, config: Any) -> None:
     """Write a better plan, its guidance, and the picture of before and after."""
-    from qdenv.study import improve as studies
+    from qdenv.study.improve import map_usage
     from qdenv.view.change import draw_change  # imports matplotlib
     from qdenv.view.style import save_figure
 
-    title, _ = studies.SECTIONS[one.candidate.section]
-    after, name, details = one.candidate.plan, title.replace(" ", "_"), domain.details
-    costs = after.costs
+    domain, costs, name = plan.domain, after.costs, title.replace(" ", "_")
     target = folder / f"{name}{config.ending}"
     written = [target]
     if costs is not None and not holds(config.ending, "weights"):
         written.append(folder / f"{name}_guidance.json")
-        write_layout(written[1], after.layout, domain.tiles, domain.meanings, costs, **details)
+        write_layout(
+            written[1], after.layout, domain.tiles, domain.meanings, costs, **domain.details
+        )
         costs = None
     Layout(after.layout, domain, plan.facts.details, costs=costs).save(target)
-    usages = studies.map_usage(plan, config.fleet), studies.map_usage(after, config.fleet)
+    usages = map_usage(plan, config.fleet), map_usage(after, config.fleet)
     picture = folder / f"{name}.png"
     save_figure(draw_change(plan, after, usages, (plan.name, title)), picture, crop=True)
     say(*written, picture)

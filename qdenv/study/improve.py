@@ -7,7 +7,7 @@ seen, beside the plan itself.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -101,18 +101,11 @@ class ImproveConfig(Ranged):
         )
 
 
-class Candidate(NamedTuple):
-    """A plan that may be better."""
+class Judged(NamedTuple):
+    """The best plan of a section beside one's own, at the number of robots and `CROWD` times it."""
 
     section: str  # a name of `SECTIONS`
-    plan: Plan
-    lanes: str  # where its costs of moves come from; "none"
-
-
-class Judged(NamedTuple):
-    """A candidate beside the plan, at the number of robots and at `CROWD` times it."""
-
-    candidate: Candidate
+    plan: Plan  # with the costs of moves that were found, if there are some
     throughput: np.ndarray  # float [2, seeds], tasks per timestep
     changes: tuple[Difference, Difference]  # against the plan, with the same seeds
     # the first of them where all shelves are alike, not all endpoints; None where demand is stated
@@ -156,16 +149,19 @@ def zoo_floors(
             yield f"{PREFIX}{home}/{one.name}", np.asarray(mended.layout)
 
 
-def floor_config(
-    section: str, layout: np.ndarray, domain: Domain, config: ImproveConfig, evaluations: int
+def search_config(
+    section: str, plan: Plan, start: np.ndarray, config: ImproveConfig, evaluations: int
 ) -> RunConfig:
-    """Configure the search of a section around a layout (int8 [H, W]): "racks", "rows" or "floor".
+    """Configure the search of a section: of costs of moves on the plan's own floor, or of floors.
 
-    The archive's axis is the number of the layout's racks that are moved.
+    Floors lie around the layout `start` (int8 [H, W]); the archive's axis is the number of its
+    racks that are moved.
     """
-    settings = replace(
-        domain.config, fleet=config.searched, around=tuple(draw(layout, domain.tiles))
-    )
+    if section == "lanes":
+        numbers = {"evaluations": evaluations, "simulations": 1, "seed": config.seed}
+        return guide_config(plan, config.searched, "costs", "crisscross", **numbers)
+    domain, around = plan.domain, tuple(draw(start, plan.domain.tiles))
+    settings = replace(domain.config, fleet=config.searched, around=around)
     axis = make_domain(settings).measures[0]
     most, cells = axis.high, _MOST_CELLS
     if section == "racks" and config.moves < axis.cells:
@@ -178,12 +174,6 @@ def floor_config(
         archive=((axis.low, float(most), min(cells, axis.cells)),),
         seed=config.seed,
     )
-
-
-def lanes_config(plan: Plan, config: ImproveConfig, evaluations: int) -> RunConfig:
-    """Configure the search of costs of moves on the plan's own floor."""
-    numbers = {"evaluations": evaluations, "simulations": 1, "seed": config.seed}
-    return guide_config(plan, config.searched, "costs", "crisscross", **numbers)
 
 
 def count_evaluations(plan: Plan, config: ImproveConfig, section: str) -> int:
@@ -223,9 +213,7 @@ def map_usage(plan: Plan, fleet: FleetConfig) -> np.ndarray:
     return done.readings[0]
 
 
-def candidates_of(
-    plan: Plan, folder: Path, section: str, lanes: np.ndarray | None
-) -> list[Candidate]:
+def list_candidates(plan: Plan, folder: Path, section: str, lanes: np.ndarray | None) -> list[Plan]:
     """List what a search found, each layout without lanes and with several kinds of them.
 
     `lanes` are costs of moves that were searched for the plan, float [5, H, W].
@@ -234,12 +222,11 @@ def candidates_of(
     found = []
     for layout in layouts:
         bare = plan._replace(layout=layout, costs=None, guidance="none")
-        if section != "lanes":
-            found.append(Candidate(section, bare, "none"))
-        found.append(Candidate(section, guide(bare, "crisscross"), "crisscross"))
+        found += [bare] * (section != "lanes")
+        found.append(guide(bare, "crisscross"))
         if lanes is not None and section in ("lanes", "racks"):
             own = keep_costs(plan._replace(costs=lanes), layout)
-            found.append(Candidate(section, bare._replace(costs=own, guidance="lanes"), "searched"))
+            found.append(bare._replace(costs=own, guidance="searched"))
     return found
 
 
@@ -256,30 +243,17 @@ def searched_lanes(plan: Plan, folder: Path) -> np.ndarray:
     return unscaled_costs(costs, plan.domain.drivable(plan.layout))
 
 
-def check_candidate(candidate: Candidate, plan: Plan, domain: Domain) -> None:
-    """Audit what is handed out: every rule holds, every cell that must stay has stayed.
-
-    Raises RuntimeError otherwise, which would be a mistake of ours.
-    """
-    if candidate.section == "lanes":
-        same = np.array_equal(candidate.plan.layout, plan.layout)
-        broken = [] if same else ["a rack moved"]
-    else:
-        broken = (
-            [str(one) for one in audit(candidate.plan.layout, domain.rules())]
-            if domain.rules
-            else []
-        )
-    if broken:
-        raise RuntimeError(f"{SECTIONS[candidate.section][0]}: {broken[0]}")
-
-
 def judge(
-    plan: Plan, found: Sequence[Candidate], config: ImproveConfig, progress: Progress = silent
+    plan: Plan,
+    found: Mapping[str, Sequence[Plan]],
+    config: ImproveConfig,
+    progress: Progress = silent,
 ) -> list[Judged]:
-    """Choose the best candidate of each section, and compare it with the plan.
+    """Choose the best of the plans that each section found, and compare it with one's own.
 
-    Few simulations choose, others judge: the best of many was lucky, too.
+    Few simulations choose, others judge: the best of many was lucky, too. Raises RuntimeError if
+    what is handed out breaks a rule or moves a rack that must stay, which would be a mistake of
+    ours.
     """
     fleets = [
         replace(config.fleet, agents=round(share * config.fleet.agents)) for share in (1.0, CROWD)
@@ -289,30 +263,34 @@ def judge(
         seeds = range(_FRESH + first, _FRESH + first + runs)
         return np.array([mean_throughput(plan, fleet, seeds) for fleet in fleets])
 
-    chosen: dict[str, tuple[float, Candidate]] = {}
-    total = len(found) + 1
+    chosen: dict[str, tuple[float, Plan]] = {}
+    candidates = [(section, one) for section, plans in found.items() for one in plans]
     progress("judging", 0.0, plan.name)
     hers = drive(plan, 0, _PILOTS).mean(axis=1)
-    for number, one in enumerate(found, 1):
-        progress("judging", number / total, SECTIONS[one.section][0])
-        gain = drive(one.plan, 0, _PILOTS).mean(axis=1) / np.maximum(hers, 1e-9)
+    for number, (section, one) in enumerate(candidates, 1):
+        progress("judging", number / (len(candidates) + 1), SECTIONS[section][0])
+        gain = drive(one, 0, _PILOTS).mean(axis=1) / np.maximum(hers, 1e-9)
         # First of all it is no worse in the crowd; then what counts is her number of robots.
         worth = gain[0] + min(gain[1] - 1, 0)
-        if one.section not in chosen or worth > chosen[one.section][0]:
-            chosen[one.section] = worth, one
+        if section not in chosen or worth > chosen[section][0]:
+            chosen[section] = worth, one
     hers, judged = drive(plan, _PILOTS, _JUDGES), []
     seeds, alike = range(_FRESH + _PILOTS, _FRESH + _PILOTS + _JUDGES), None
     if not getattr(plan.domain.config, "demand", ".") and BY_SHELF[0] in plan.domain.counted:
         alike = with_tasks(plan, {"demand": BY_SHELF[0]})
         usual = mean_throughput(alike, fleets[0], seeds)
-    for number, (_, one) in enumerate(chosen.values()):
-        progress("judging the chosen", number / len(chosen), SECTIONS[one.section][0])
-        ours = drive(one.plan, _PILOTS, _JUDGES)
+    for number, (section, (_, one)) in enumerate(chosen.items()):
+        progress("judging the chosen", number / len(chosen), SECTIONS[section][0])
+        ours = drive(one, _PILOTS, _JUDGES)
         first, second = (paired_difference(*pair) for pair in zip(ours, hers, strict=True))
         by_shelf = None
         if alike is not None:
             # More endpoints near the stations shorten ways, as if people ordered other goods.
-            other = one.plan._replace(domain=alike.domain)
+            other = one._replace(domain=alike.domain)
             by_shelf = paired_difference(mean_throughput(other, fleets[0], seeds), usual)
-        judged.append(Judged(one, ours, (first, second), by_shelf))
+        moved = section == "lanes" and not np.array_equal(one.layout, plan.layout)
+        rules = plan.domain.rules() if plan.domain.rules and section != "lanes" else None
+        if broken := ["a rack moved"] * moved + (audit(one.layout, rules) if rules else []):
+            raise RuntimeError(f"{SECTIONS[section][0]}: {broken[0]}")
+        judged.append(Judged(section, one, ours, (first, second), by_shelf))
     return judged
