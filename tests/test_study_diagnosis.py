@@ -8,7 +8,7 @@ from qdenv.grid import LEFT, RIGHT, parse
 from qdenv.repairs.audit import audit
 from qdenv.study.diagnosis import cut_off, dead_ends, diagnose, narrow_aisles
 from qdenv.study.plans import Plan
-from qdenv.view.diagnosis import draw_diagnosis
+from qdenv.view.change import draw_diagnosis
 from qdenv.view.style import save_figure
 
 RNG = np.random.default_rng(0)

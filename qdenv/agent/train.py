@@ -241,54 +241,42 @@ def train_agent(
     if not resume:
         refuse_second_training(out)  # before a lock is left there
     with locked(out):
-        return _train(config, out, resume, report_every, cpu_seconds, progress)
-
-
-def _train(
-    config: TrainConfig,
-    out: Path,
-    resume: bool,
-    report_every: int,
-    cpu_seconds: float,
-    progress: Callable[[int, dict[str, Any] | None], None],
-) -> Path:
-    """Train in a folder that is locked, see `train_agent`."""
-    state, used = start(config), 0.0
-    checkpoint = out / "checkpoint.npz"
-    if resume:
-        state, used = load_state(checkpoint, state)
-    else:
-        refuse_second_training(out)
-    write_json(out / "config.json", asdict(config))
-    examine = _exam(config)
-    # The log shows the seconds of the whole run, those before an interruption too.
-    began, logs = time.process_time() - used, []
-    while int(state.update) < config.updates:
-        state, numbers = _update(state, config)
-        logs.append(numbers)
-        done = int(state.update)
-        progress(done, None)
-        spent = time.process_time() - began
-        last = done >= config.updates or spent - used > cpu_seconds
-        if done % report_every and not last:
-            continue
-        mean = {name: float(np.mean([log[name] for log in logs])) for name in logs[0]}
-        row = {
-            "update": done,
-            "steps": done * config.ppo.lanes * config.ppo.timesteps,
-            "cpu_seconds": round(spent, 1),
-            "method": config.method,
-            **mean,
-        }
-        logs = []
-        # The log comes last: a run killed in between misses a line of it and repeats none.
-        leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
-        write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
-        save_weights(state.weights, out / "agents" / f"{done:06}.npz")
-        row |= choose(out, config.average, examine)
-        with (out / "curve.jsonl").open("a") as log:
-            log.write(json.dumps(row) + "\n")
-        progress(done, row)
-        if last:
-            break
-    return out / "agent.npz"
+        state, used = start(config), 0.0
+        checkpoint = out / "checkpoint.npz"
+        if resume:
+            state, used = load_state(checkpoint, state)
+        else:
+            refuse_second_training(out)
+        write_json(out / "config.json", asdict(config))
+        examine = _exam(config)
+        # The log shows the seconds of the whole run, those before an interruption too.
+        began, logs = time.process_time() - used, []
+        while int(state.update) < config.updates:
+            state, numbers = _update(state, config)
+            logs.append(numbers)
+            done = int(state.update)
+            progress(done, None)
+            spent = time.process_time() - began
+            last = done >= config.updates or spent - used > cpu_seconds
+            if done % report_every and not last:
+                continue
+            mean = {name: float(np.mean([log[name] for log in logs])) for name in logs[0]}
+            row = {
+                "update": done,
+                "steps": done * config.ppo.lanes * config.ppo.timesteps,
+                "cpu_seconds": round(spent, 1),
+                "method": config.method,
+                **mean,
+            }
+            logs = []
+            # The log comes last: a run killed in between misses a line of it and repeats none.
+            leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
+            write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
+            save_weights(state.weights, out / "agents" / f"{done:06}.npz")
+            row |= choose(out, config.average, examine)
+            with (out / "curve.jsonl").open("a") as log:
+                log.write(json.dumps(row) + "\n")
+            progress(done, row)
+            if last:
+                break
+        return out / "agent.npz"

@@ -186,21 +186,18 @@ def write_drawing(
         if not 0 <= cell < cells:
             raise InputError(f"{path}: a robot or task at cell {cell}: the last one is {cells - 1}")
     lost = pkgutil.resolve_name(FORMATS[name].write)(path, drawing, meanings) or []
-    return [f"{name}: {what} left out" for what in (*lost, *_not_held(path, name, drawing))]
-
-
-def _not_held(path: Path, name: str, drawing: Any) -> list[str]:
-    """Name what a drawing has, and a file has no place for."""
+    # What the drawing has, and the file has no place for.
     holds = FORMATS[name].endings.get(_ending_of(path), ("weights", *_ROBOTS, "details"))
     parts = {
         "weights": ("costs of moves are", drawing.weights is not None),
         "starts": ("the robots' starts are", bool(drawing.starts)),
         "tasks": ("tasks are", bool(drawing.tasks)),
     }
-    lost = [words for part, (words, there) in parts.items() if there and part not in holds]
+    lost = [*lost, *(words for part, (words, has) in parts.items() if has and part not in holds)]
     facts = {**drawing.details, **drawing.details.get("facts", {})}
     keys = [key for key, fact in facts.items() if key not in (*holds, "domain", "facts") and fact]
-    return lost + [f"facts ({', '.join(keys)}) are"] * (bool(keys) and "details" not in holds)
+    lost += [f"facts ({', '.join(keys)}) are"] * (bool(keys) and "details" not in holds)
+    return [f"{name}: {what} left out" for what in lost]
 
 
 def redraw(

@@ -165,8 +165,9 @@ def _read_lines(path: str | Path) -> Trajectories:
         table = np.array(lines, np.int64)
         columns = dict(zip(names, table.T, strict=True))
     except (ValueError, OverflowError):
-        wrong = next((i for i, one in enumerate(lines) if not _is_row(one, len(names))), 0)
-        shown = " ".join(lines[wrong])[:60]
+        whole = re.compile(r"-?\d{1,18}").fullmatch
+        wrong = (one for one in lines if len(one) != len(names) or not all(map(whole, one)))
+        shown = " ".join(next(wrong, lines[0]))[:60]
         raise damaged(path, f"{shown!r} is no line of {', '.join(names)} in integers") from None
     times, robots = columns["timestep"] - columns["timestep"].min(), columns["robot"]
     known, agent = np.unique(robots, return_inverse=True)
@@ -189,10 +190,6 @@ def _read_lines(path: str | Path) -> Trajectories:
             row, column, _ = rows[max(time - 1, 0), robot].tolist()  # where it was heading for
             errands.append(Errand(time, robot, (row, column), len(errands), True))
     return Trajectories(cells, errands)
-
-
-def _is_row(cells: list[str], width: int) -> bool:
-    return len(cells) == width and all(re.fullmatch(r"-?\d{1,18}", cell) for cell in cells)
 
 
 def _read_league(path: str | Path, output: _Output) -> Trajectories:

@@ -8,7 +8,6 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional, arg
 
-from qdenv.domains.base import Domain
 from qdenv.grid import draw
 from qdenv.io.facts import write_facts
 from qdenv.io.formats import FORMATS, find_writer, write_drawing
@@ -80,21 +79,16 @@ def convert(
     if plan.costs is not None:
         free = found.drivable(plan.layout)
         weights = weights_of(np.where(free, plan.costs, np.inf))
+    meanings = {symbol: found.meanings.get(symbol, Tile(symbol)) for symbol in found.tiles}
+    if tasks := found.simulator.tasks:  # what robots do not drive on is an obstacle
+        meanings = {
+            symbol: tile._replace(obstacle=symbol not in tasks.traversable)
+            for symbol, tile in meanings.items()
+        }
     rows = draw(plan.layout, found.tiles)
     drawing = drawing._replace(rows=rows, weights=weights, details=details)
-    left_out = write_drawing(written.path, drawing, _meanings(found), format)
+    left_out = write_drawing(written.path, drawing, meanings, format)
     lost = [f"{name}: {what} left out" for what in drawing.lost] + left_out
     say(*lost, f"{written}: {chosen}, {len(rows)} x {len(rows[0])}, {plan.whose}")
     say(*filter(None, [beside]))
     return Result(file=str(written.path), format=chosen, left_out=lost)
-
-
-def _meanings(domain: Domain) -> dict[str, Tile]:
-    """Describe each tile of a domain; what robots do not drive on is an obstacle."""
-    tiles = {symbol: domain.meanings.get(symbol, Tile(symbol)) for symbol in domain.tiles}
-    if (tasks := domain.simulator.tasks) is None:
-        return tiles
-    return {
-        symbol: tile._replace(obstacle=symbol not in tasks.traversable)
-        for symbol, tile in tiles.items()
-    }

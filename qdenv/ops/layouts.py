@@ -30,7 +30,6 @@ from qdenv.repairs.settings import RepairConfig
 from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import (
-    Plan,
     describe_changes,
     keep_costs,
     list_changes,
@@ -128,7 +127,7 @@ def check(
         say(f"{name}: obeys every rule, {plan.whose}")
     say(*(f"remark: {one.message}" for one in remarks))
     if picture:
-        from qdenv.view.diagnosis import draw_diagnosis  # imports matplotlib
+        from qdenv.view.change import draw_diagnosis  # imports matplotlib
 
         picture.draw(draw_diagnosis(plan, found, remarks), crop=True)
     facts = {
@@ -183,7 +182,8 @@ def repair(
         raise InputError(f"{name}: no repair exists: {reason}")
     # Everything is refused before the compiler and the solver are imported, which takes seconds.
     inputs, default = [layout, keep], f"{plan.name}_repaired.json"
-    target = place(out, default, _endings(plan, fitted), inputs)
+    endings = endings_for(fitted.tiles, fitted.meanings, plan.costs is not None)
+    target = place(out, default, endings, inputs)
     beside = target.path if target else Path(default)
     picture = place(plot, str(beside.with_suffix(PICTURES[0])), PICTURES, inputs)
     say("{}: {} x {}, {}".format(name, *plan.layout.shape, plan.whose))
@@ -230,11 +230,6 @@ def repair(
         figure = draw_change(plan, plan._replace(layout=repaired, costs=costs))
         picture.draw(figure, crop=True)
     return made
-
-
-def _endings(plan: Plan, domain: Domain) -> tuple[str, ...]:
-    """List the endings of files that can hold what a plan is changed into."""
-    return endings_for(domain.tiles, domain.meanings, plan.costs is not None)
 
 
 def layout_human(
@@ -315,7 +310,8 @@ def layout_tile(
         size = "{} x {}".format(*plan.layout.shape)
         raise InputError(f"{rows} x {cols} is smaller than the layout it repeats, {size}")
     found, config = plan.domain, RepairConfig(polish=polish)
-    target = place(out, f"{plan.name}_tiled.json", _endings(plan, found), [layout])
+    endings = endings_for(found.tiles, found.meanings, plan.costs is not None)
+    target = place(out, f"{plan.name}_tiled.json", endings, [layout])
     tiled = sizes.tile(plan, (rows, cols), numbers, config, seed)
     say(*filter(None, [describe_growth(found, (rows, cols), ["steps", *numbers])]))
     details = sizes.details(tiled) | {"domain": found.name}

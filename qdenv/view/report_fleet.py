@@ -15,7 +15,7 @@ from qdenv.simulation.mapf.settings import FleetConfig, describe_planner
 from qdenv.stats import difference
 from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import fleet_tasks, usual_fleet
-from qdenv.study.plans import Plan, name_guidance
+from qdenv.study.plans import name_guidance
 from qdenv.study.recordings import FADING, cells_with_half
 from qdenv.study.table import Row, Trial, about, compare, decide, find_capacity, find_peak
 from qdenv.study.traffic import Study, examine, facts_of
@@ -129,6 +129,10 @@ def report_fleet(
             and {"layout": rival.name, "about": rival.about, "differences": apart},
         }
     jammed = any(row.success_rate < 1 for row in rows)
+    planner = describe_planner(request.config.planner)
+    if guidance := name_guidance([one.plan for one in subjects]):
+        without = ", none on the hand-made layout" if any(request.rivals) else ""
+        planner = f"{planner}; guidance: {guidance}{without}"
     return make_report(
         "fleet",
         f"{listed([one.name for one in subjects])}: {agents} robots",
@@ -146,7 +150,7 @@ def report_fleet(
         changes=_draw_changes(subjects, scenes),
         layouts=layouts,
         runs=len(request.seeds),
-        planner=_describe_planner(request),
+        planner=planner,
         rows=rows,
         jammed=jammed,
         fading=[row for row in rows if row.fading > FADING],
@@ -201,16 +205,6 @@ def _compare(subject: Subject, rival: Rival | None, rows: list[Row], row: Row) -
     }
 
 
-def _describe_planner(request: FleetRequest) -> str:
-    """Name the planner, and the guidance if there is any."""
-    planner = describe_planner(request.config.planner)
-    guidance = name_guidance([one.plan for one in request.subjects])
-    if not guidance:
-        return planner
-    without = ", none on the hand-made layout" if any(request.rivals) else ""
-    return f"{planner}; guidance: {guidance}{without}"
-
-
 def _draw_changes(subjects: Sequence[Subject], scenes: Sequence[Scene]) -> list[dict[str, str]]:
     """Draw each further layout beside the first one, where the sizes are the same."""
     first, *others = zip(subjects, scenes, strict=True)
@@ -241,6 +235,8 @@ def _draw(
     domain, layout, maps = subject.plan.domain, subject.plan.layout, scene.maps
     assert study.verdict is not None
     verdict, reason, _ = study.verdict
+    rules = subject.plan.fitted().rules
+    broken = audit(layout, rules()) if rules else []
     plan = draw_plan(layout, domain.tiles, domain.names, side=_PLAN)
     flow, along = "", 0.0
     if scene.costs is not None:
@@ -255,7 +251,7 @@ def _draw(
     spots = [one for one in scene.worst if one["waiting"] >= _LEAST_WAITING]
     return {
         "contents": describe_contents(layout, domain),
-        "remarks": _remark(subject.plan),
+        "remarks": [one.message for one in (*broken, *diagnose(subject.plan))],
         "verdict": verdict,
         "reason": reason,
         "plan": to_svg(plan, f"plan-{number}", crop=True),
@@ -271,10 +267,3 @@ def _draw(
         "tiles": [domain.names.get(tile, repr(tile)) for tile in domain.tiles],
         "change": to_svg(change, f"by-hand-{number}", crop=True) if change else "",
     }
-
-
-def _remark(plan: Plan) -> list[str]:
-    """List what a layout breaks of its rules, and what else `qdenv check` remarks on."""
-    domain = plan.fitted()
-    broken = audit(plan.layout, domain.rules()) if domain.rules else []
-    return [one.message for one in broken] + [one.message for one in diagnose(plan)]
