@@ -9,7 +9,7 @@ from qdenv.cli.main import run
 from qdenv.configurations import find_preset
 from qdenv.grid import draw
 from qdenv.ops.options import read_plan
-from qdenv.study.keep import keep_from
+from qdenv.study.options import keep_from
 from qdenv.study.plans import resolve_plan
 from qdenv.types import InputError
 

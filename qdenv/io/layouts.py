@@ -68,23 +68,18 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
     # What a file states itself counts more.
     facts = facts_beside(path) | dict(drawing.details.get("facts", {}))
     if facts:
-        drawing = _with_facts(drawing, facts, path)
+        stated = make_facts(facts, path)
+        legend = str.maketrans(dict(stated.legend))
+        details = {**drawing.details, "facts": {**facts, "legend": {}}}
+        drawing = drawing._replace(
+            rows=[row.translate(legend) for row in drawing.rows],
+            domain=drawing.domain or stated.domain,
+            keep=drawing.keep or stated.drawing,
+            details=details if stated.cell is None else details | {"cell": stated.cell},
+        )
     if any(drawing.rows):
         check_size(len(drawing.rows), max(map(len, drawing.rows)), f"{path}: ")
     return drawing
-
-
-def _with_facts(drawing: Drawing, content: Mapping[str, Any], path: Path) -> Drawing:
-    """Give a drawing the facts about it: its tiles by the legend, its domain, what must stay."""
-    facts = make_facts(content, path)
-    legend = str.maketrans(dict(facts.legend))
-    details = {**drawing.details, "facts": {**content, "legend": {}}}
-    return drawing._replace(
-        rows=[row.translate(legend) for row in drawing.rows],
-        domain=drawing.domain or facts.domain,
-        keep=drawing.keep or facts.drawing,
-        details=details if facts.cell is None else details | {"cell": facts.cell},
-    )
 
 
 def check_size(rows: int, cols: int, place: str = "") -> None:

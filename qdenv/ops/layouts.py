@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from tyro.conf import arg
@@ -26,7 +26,7 @@ from qdenv.ops.output import (
 from qdenv.progress import Bar
 from qdenv.repairs.audit import audit, check_allowed
 from qdenv.repairs.rules import impossible
-from qdenv.repairs.settings import RepairConfig
+from qdenv.repairs.settings import Polish, RepairConfig
 from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import (
@@ -39,8 +39,6 @@ from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:
     from qdenv.simulation.mapf.environment import Environment, Observe
-
-Polish = Literal["none", "quick", "full"]
 
 
 def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = None) -> Layout:

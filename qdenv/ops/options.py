@@ -29,8 +29,7 @@ from qdenv.simulation.mapf.settings import (
     find_planner,
     record_planner,
 )
-from qdenv.study.keep import Keep
-from qdenv.study.options import TIMESTEPS, parse_counts, parse_seeds
+from qdenv.study.options import TIMESTEPS, Keep, parse_counts, parse_seeds
 from qdenv.study.plans import Plan, close_parts, guide, name_guidance, with_tasks
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError

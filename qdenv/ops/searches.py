@@ -25,7 +25,7 @@ from qdenv.run.executors import Execution
 from qdenv.search.registry import ALGORITHMS
 from qdenv.shipped import PREFIX, Collection, Driven, Origin, Shipped, named, names
 from qdenv.simulation.mapf.settings import describe_planner
-from qdenv.study.keep import keep_from
+from qdenv.study.options import keep_from
 from qdenv.study.plans import resolve_plan, with_tasks
 from qdenv.types import InputError
 

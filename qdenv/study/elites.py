@@ -20,7 +20,7 @@ from qdenv.repairs.settings import RepairConfig
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.settings import EvaluationConfig
-from qdenv.study.keep import Keep, keep_from
+from qdenv.study.options import Keep, keep_from
 from qdenv.study.plans import Plan, keep_costs
 from qdenv.types import Array, InputError, Repair, RepairStatus
 

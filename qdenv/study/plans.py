@@ -18,7 +18,7 @@ from qdenv.io.layouts import ENDINGS, aliases, read_drawing, to_layout
 from qdenv.io.records import structured
 from qdenv.lazy import ndimage
 from qdenv.simulation.mapf.goals import BY_SHELF, rows_of_odds, task_odds
-from qdenv.study.keep import Keep, keep_from
+from qdenv.study.options import Keep, keep_from
 from qdenv.types import Floor, InputError, about, choices
 
 USUAL = "hall"  # the domain where nothing says otherwise

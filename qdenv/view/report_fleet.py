@@ -236,7 +236,8 @@ def _draw(
     assert study.verdict is not None
     verdict, reason, _ = study.verdict
     rules = subject.plan.fitted().rules
-    broken = audit(layout, rules()) if rules else []
+    remarks = [one.message for one in (audit(layout, rules()) if rules else [])]
+    remarks += [one.message for one in diagnose(subject.plan)]
     plan = draw_plan(layout, domain.tiles, domain.names, side=_PLAN)
     flow, along = "", 0.0
     if scene.costs is not None:
@@ -251,7 +252,7 @@ def _draw(
     spots = [one for one in scene.worst if one["waiting"] >= _LEAST_WAITING]
     return {
         "contents": describe_contents(layout, domain),
-        "remarks": [one.message for one in (*broken, *diagnose(subject.plan))],
+        "remarks": remarks,
         "verdict": verdict,
         "reason": reason,
         "plan": to_svg(plan, f"plan-{number}", crop=True),
