@@ -225,8 +225,7 @@ def repair(
     if picture:
         from qdenv.view.change import draw_change  # imports matplotlib
 
-        figure = draw_change(plan, plan._replace(layout=repaired, costs=costs))
-        picture.draw(figure, crop=True)
+        picture.draw(draw_change(plan, plan._replace(layout=repaired, costs=costs)), crop=True)
     return made
 
 

@@ -104,17 +104,7 @@ def _run(
     total = -(-config.evaluations // batch)
     advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
     bar = Bar("", total * batch, progress, unit="eval")
-
-    def announced(what: str, function: Callable) -> Callable:
-        """Have the bar name a function while jax traces it, which is when it is compiled next."""
-
-        @wraps(function)
-        def traced(*arguments: Any) -> Any:
-            bar.wait_for(f"compiling and running the {what}")
-            return function(*arguments)
-
-        return traced
-
+    announced = partial(_announced, bar)
     parts = {"grow": "generator and repair", "simulate": "simulator", "score": "score"}
     named: Any = {part: announced(name, getattr(pipeline, part)) for part, name in parts.items()}
     pipeline = pipeline._replace(**named)
@@ -161,6 +151,17 @@ def _run(
                 publisher.save(done, search)
             raise
     return run
+
+
+def _announced(bar: Bar, what: str, function: Callable) -> Callable:
+    """Have the bar name a function while jax traces it, which is when it is compiled next."""
+
+    @wraps(function)
+    def traced(*arguments: Any) -> Any:
+        bar.wait_for(f"compiling and running the {what}")
+        return function(*arguments)
+
+    return traced
 
 
 class Publisher:

@@ -129,10 +129,6 @@ def report_fleet(
             and {"layout": rival.name, "about": rival.about, "differences": apart},
         }
     jammed = any(row.success_rate < 1 for row in rows)
-    planner = describe_planner(request.config.planner)
-    if guidance := name_guidance([one.plan for one in subjects]):
-        without = ", none on the hand-made layout" if any(request.rivals) else ""
-        planner = f"{planner}; guidance: {guidance}{without}"
     return make_report(
         "fleet",
         f"{listed([one.name for one in subjects])}: {agents} robots",
@@ -150,7 +146,7 @@ def report_fleet(
         changes=_draw_changes(subjects, scenes),
         layouts=layouts,
         runs=len(request.seeds),
-        planner=planner,
+        planner=_describe_planner(request),
         rows=rows,
         jammed=jammed,
         fading=[row for row in rows if row.fading > FADING],
@@ -203,6 +199,16 @@ def _compare(subject: Subject, rival: Rival | None, rows: list[Row], row: Row) -
         "against": against,
         "by_hand": decide(row, theirs[row.agents])["sentence"] if rival else "",
     }
+
+
+def _describe_planner(request: FleetRequest) -> str:
+    """Name the planner, and the guidance if there is any."""
+    planner = describe_planner(request.config.planner)
+    guidance = name_guidance([one.plan for one in request.subjects])
+    if not guidance:
+        return planner
+    without = ", none on the hand-made layout" if any(request.rivals) else ""
+    return f"{planner}; guidance: {guidance}{without}"
 
 
 def _draw_changes(subjects: Sequence[Subject], scenes: Sequence[Scene]) -> list[dict[str, str]]:
