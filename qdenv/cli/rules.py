@@ -32,17 +32,7 @@ from tyro.constructors import (
 
 from qdenv.cli.parser import number_rules
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
-from qdenv.ops.options import (
-    FleetOptions,
-    GuideOptions,
-    ImproveOptions,
-    Mark,
-    PlannerOptions,
-    RunOptions,
-    StudyOptions,
-    TaskOptions,
-    open_run,
-)
+from qdenv.ops import options as args
 from qdenv.registry import Registry
 from qdenv.shipped import PREFIX
 from qdenv.simulation.mapf.settings import PLANNERS, find_planner
@@ -72,12 +62,12 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
     They depend on what the command line chooses by name, and on the `rest` of its words.
     """
     # The parser finds the comments behind the fields of a dictionary itself, not in its base.
-    records = (RunOptions, FleetOptions, StudyOptions, GuideOptions, ImproveOptions)
     helps = {
         kind: {one.name: one.helptext for one in _spec_of(kind).fields if one.helptext}
-        for kind in records
+        for kind in vars(args).values()
+        if is_typeddict(kind)
     }
-    inherited = helps[RunOptions] | helps[FleetOptions]
+    inherited = helps[args.RunOptions] | helps[args.FleetOptions]
     rules = number_rules()
 
     @rules.struct_rule
@@ -87,7 +77,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             kinds = get_type_hints(kind, include_extras=True)
             own = inherited | helps[kind]
             return _options((name, one, own[name]) for name, one in kinds.items())
-        if kind is PlannerOptions:
+        if kind is args.PlannerOptions:
             # The settings of several are those of the first, and are refused.
             settings = find_planner(chosen.effort, (chosen.planner or "").partition(",")[0])
             _check_planner_options(rest, settings)
@@ -101,21 +91,21 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             return dataclasses.replace(
                 spec, instantiate=lambda planner=None, **stated: (planner, stated)
             )
-        if kind is TaskOptions:
+        if kind is args.TaskOptions:
             known = chosen.domain in (None, *DOMAINS.names())  # the command refuses what is not
             spec = _options(_task_settings(_domain_of(chosen, rest)) if known else ())
             return dataclasses.replace(spec, instantiate=lambda **stated: stated)
         if get_origin(kind) is not dict or get_origin(keywords[0]) is not Annotated:
             return None
         value, mark, *_ = get_args(keywords[0])
-        if mark is Mark.PRESET:
+        if mark is args.Mark.PRESET:
             return _preset_options(chosen, rest)
-        if mark is Mark.SURROGATE:
+        if mark is args.Mark.SURROGATE:
             named = ("channels", "blocks", "epochs", "minibatch", "rate")
             return _options(
                 one for one in _settings(find_surrogate("small", {})) if one[0] in named
             )
-        return _tile_numbers(chosen, rest, value) if mark is Mark.TILES else None
+        return _tile_numbers(chosen, rest, value) if mark is args.Mark.TILES else None
 
     return rules
 
@@ -201,13 +191,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     # Only a search needs these: other refusals are faster without them.
     from qdenv.configurations import find_preset
     from qdenv.generators import GENERATORS
-    from qdenv.run.config import (
-        choose_algorithm,
-        choose_domain,
-        choose_generator,
-        choose_planner,
-        planner_of,
-    )
+    from qdenv.run import config as configs
     from qdenv.search.registry import ALGORITHMS
     from qdenv.search.settings import check_strategy
 
@@ -216,13 +200,13 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     if chosen.domain is not None or any(word.partition("=")[0] == "--plan" for word in rest):
         # A plan's, which is also found where it follows a sign of equality.
         words = [word.removeprefix("--plan=") for word in rest[1:]]
-        config = choose_domain(config, _domain_of(chosen, words).name)
+        config = configs.choose_domain(config, _domain_of(chosen, words).name)
     if chosen.algorithm is not None:
-        config = choose_algorithm(config, chosen.algorithm)
+        config = configs.choose_algorithm(config, chosen.algorithm)
     if chosen.generator is not None:
-        config = choose_generator(config, chosen.generator)
-    config = choose_planner(config, chosen.effort, chosen.planner)
-    if (planner := planner_of(config)) is not None:
+        config = configs.choose_generator(config, chosen.generator)
+    config = configs.choose_planner(config, chosen.effort, chosen.planner)
+    if (planner := configs.planner_of(config)) is not None:
         _check_planner_options(rest, planner)
     check_strategy(chosen.strategy or "")  # the parser would not say why
     effort = "of the negotiated planner: low inside a search, high for numbers to report"
@@ -281,7 +265,7 @@ def _domain_of(chosen: Choices, rest: Sequence[str]) -> Domain:
         if max(map(len, word.split("/"))) > _LONGEST_NAME:  # a list of numbers, perhaps
             continue
         if word.startswith(PREFIX) or (Path(word) / "config.json").exists():
-            domain = make_domain(open_run(word).config.evaluation.domain)
+            domain = make_domain(args.open_run(word).config.evaluation.domain)
             break
         if Path(word).is_file():
             with contextlib.suppress(InputError):  # no layout, or one that the command refuses

@@ -17,14 +17,7 @@ import numpy as np
 from qdenv.grid import draw, parse
 from qdenv.io.facts import FENCE, facts_beside, make_facts, parse_facts
 from qdenv.io.files import damaged, read_text, write_atomically, write_json
-from qdenv.io.formats import (
-    ALL_ENDINGS,
-    LIBRARIES,
-    READ_ENDINGS,
-    find_reader,
-    holds,
-    write_drawing,
-)
+from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, holds, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile

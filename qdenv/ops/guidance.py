@@ -22,7 +22,6 @@ from qdenv.run.executors import Execution
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study import table as studies
-from qdenv.study.options import usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 
@@ -78,8 +77,8 @@ def guide(
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
     plan = options.with_tasks(args.read_plan(layout, options.domain))
-    name, agents = args.name_of(layout), plan.facts.robots if agents is None else agents
-    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    name = args.name_of(layout)
+    agents, timesteps, note = options.usual(plan, agents)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     fresh = Path("runs") / f"guide-{plan.name}-{stamp}"
     if path is not None:

@@ -25,7 +25,7 @@ from qdenv.progress import Bar
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
 from qdenv.simulation.mapf.settings import PLANNERS, describe_planner
-from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
@@ -95,8 +95,7 @@ def improve(
     rules: dict[str, Any] = {name: given.pop(name) for name in ("aisle", "rack") if name in given}
     options = args.Fleet(given)
     plan = options.read_plan(layout)
-    agents = plan.facts.robots if agents is None else agents
-    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    agents, timesteps, note = options.usual(plan, agents)
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, round(1.25 * agents))
     settings = replace(plan.fitted(rules, keep).config, fleet=options.config(agents, timesteps))
     from qdenv.study.improve import ImproveConfig  # imports the whole chain

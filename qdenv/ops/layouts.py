@@ -29,12 +29,7 @@ from qdenv.repairs.rules import impossible
 from qdenv.repairs.settings import Polish, RepairConfig
 from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import describe_growth
-from qdenv.study.plans import (
-    describe_changes,
-    keep_costs,
-    list_changes,
-    warn_of_changes,
-)
+from qdenv.study.plans import describe_changes, keep_costs, list_changes, warn_of_changes
 from qdenv.types import InputError, RepairStatus, Rules
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from qdenv.simulation.mapf.settings import (
     find_planner,
     record_planner,
 )
-from qdenv.study.options import TIMESTEPS, Keep, parse_counts, parse_seeds
+from qdenv.study.options import TIMESTEPS, Keep, parse_counts, parse_seeds, usual_fleet
 from qdenv.study.plans import Plan, close_parts, guide, name_guidance, with_tasks
 from qdenv.study.plans import read_plan as read_file
 from qdenv.types import InputError
@@ -201,6 +201,11 @@ class Fleet:
         """Make the settings of a simulation; raise InputError if a number is impossible."""
         steps = timesteps or self.timesteps or TIMESTEPS
         return FleetConfig(agents, steps, planner=self.planner, stop_when_congested=self.stop)
+
+    def usual(self, plan: Plan, agents: int | None) -> tuple[int, int, str]:
+        """Return what `usual_fleet` does; robots are as many as the plan's file states."""
+        agents = plan.facts.robots if agents is None else agents
+        return usual_fleet(plan.domain, [plan.layout], agents, self.timesteps)
 
     def read_plan(self, layout: Any) -> Plan:
         """Read a layout as the function of this name does, with its tasks and costs of moves."""

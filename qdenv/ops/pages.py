@@ -15,7 +15,7 @@ from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
 from qdenv.simulation.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import recordings as studies
-from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan, name_guidance
 from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
@@ -134,8 +134,7 @@ def _replay_fleet(
     plan: Plan, agents: int | None, options: args.Fleet, seed: int, films: FilmOptions
 ) -> tuple[Page, Motion, dict[str, Any]]:
     """Simulate a fleet once and make its page."""
-    agents = plan.facts.robots if agents is None else agents
-    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    agents, timesteps, note = options.usual(plan, agents)
     films.check_end(timesteps)
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     config = options.config(agents, timesteps)

@@ -19,15 +19,6 @@ from qdenv.study import table as studies
 from qdenv.study.options import AGENTS, usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import FADING
-from qdenv.study.table import (
-    Peak,
-    Row,
-    differences,
-    find_capacity,
-    find_peak,
-    write_rows,
-    write_runs,
-)
 from qdenv.types import InputError
 from qdenv.view import PAGE
 
@@ -62,7 +53,7 @@ def sweep(
         rows = studies.compare(fleets.floors, fleets.trial, fleets.show, bar)
     # Numbers of agents may be stated in any order; the peak is read along ascending ones.
     rows.sort(key=lambda row: row.agents)
-    peak, worth = find_peak(rows), find_capacity(rows)
+    peak, worth = studies.find_peak(rows), studies.find_capacity(rows)
     say(fleets.describe_peak(peak))
     say(
         f"agents worth having: up to {worth}, each brings at least half of what an average one does"
@@ -100,7 +91,7 @@ def compare(
     fleets = _Fleets(layouts, agents, (AGENTS, AGENTS, 1), "compare", study, several=True)
     with Bar("simulating") as bar:
         rows = fleets.compare(bar)
-    against, (first, how) = differences(rows), (rows[0].layout, "Welch, Fieller")
+    against, (first, how) = studies.differences(rows), (rows[0].layout, "Welch, Fieller")
     if rows[0].planner:
         first, how = rows[0].planner, "seed by seed; paired t, Fieller"
     others = [
@@ -122,7 +113,7 @@ def compare(
     ]
     columns = dict(zip(names, ends, strict=True))
     if each_run:
-        write_runs(each_run.path, rows)
+        studies.write_runs(each_run.path, rows)
         say(each_run)
     return fleets.finish(rows, {}, columns)
 
@@ -156,7 +147,7 @@ def scalability(
             studies.climb(name, layout, fleets.trial, fleets.show, bar)
             for name, layout in fleets.floors.items()
         ]
-    peaks = [find_peak(rows) for rows in climbs]
+    peaks = [studies.find_peak(rows) for rows in climbs]
     say(*map(fleets.describe_peak, peaks))
     facts = {"peaks": [peak._asdict() for peak in peaks]}
     return fleets.finish([row for rows in climbs for row in rows], facts, peaks=peaks)
@@ -233,9 +224,9 @@ class _Fleets:
         lines = [options.describe(written, timesteps, [*plans.values()], planners), note]
         self._head = [*filter(None, lines), f"{'layout':{self._long}}{head}{hour}"]
 
-    def compare(self, bar: Progress) -> list[Row]:
+    def compare(self, bar: Progress) -> list[studies.Row]:
         """Simulate every layout with every number of agents, planner by planner."""
-        rows: list[Row] = []
+        rows: list[studies.Row] = []
         for number, trial in enumerate(self._trials):
 
             def report(doing: str, share: float, note: str, number: int = number) -> None:
@@ -244,7 +235,7 @@ class _Fleets:
             rows += studies.compare(self.floors, trial, self.show, report)
         return rows
 
-    def show(self, row: Row) -> None:
+    def show(self, row: studies.Row) -> None:
         """Log a row, the first one below a head."""
         size, error = f"{row.rows}x{row.cols}", f"({row.standard_error:.3f})"
         bounds = f"({row.success_low:.0%} to {row.success_high:.0%})"
@@ -256,7 +247,7 @@ class _Fleets:
         )
         self._head = []
 
-    def describe_peak(self, peak: Peak) -> str:
+    def describe_peak(self, peak: studies.Peak) -> str:
         """Return in a line how much a layout moves at most."""
         rate = self._per_hour
         hour = f" ({peak.throughput * rate:,.0f} per hour)" if rate else ""
@@ -266,10 +257,10 @@ class _Fleets:
 
     def finish(
         self,
-        rows: Sequence[Row],
+        rows: Sequence[studies.Row],
         facts: Mapping[str, Any],
         columns: Mapping[str, Sequence[Any]] | None = None,
-        peaks: Sequence[Peak] = (),
+        peaks: Sequence[studies.Peak] = (),
     ) -> Table:
         """Write the table and the picture, warn of jams that build up, collect the facts.
 
@@ -280,7 +271,7 @@ class _Fleets:
         if self._per_hour:
             columns["tasks_per_hour"] = [row.mean_of_all * self._per_hour for row in rows]
         if self._table:
-            write_rows(self._table.path, rows, columns)
+            studies.write_rows(self._table.path, rows, columns)
         if self._picture:
             from qdenv.view.studies import draw_comparison, draw_peaks  # imports matplotlib
             from qdenv.view.style import save_figure

@@ -15,7 +15,7 @@ from qdenv.ops.output import PICTURES, Result, Table, format_table, place, say
 from qdenv.progress import Bar
 from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study import table as studies
-from qdenv.study.options import fleet_tasks, usual_fleet
+from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import MOST_SHOWN, record_fleet
 from qdenv.types import InputError
@@ -65,8 +65,7 @@ def simulate(
     options = args.Fleet(fleet)
     plan, name = options.read_plan(layout), args.name_of(layout)
     picture = place(plot, f"{plan.name}_traffic.png", PICTURES, [layout])
-    agents = plan.facts.robots if agents is None else agents
-    agents, timesteps, note = usual_fleet(plan.domain, [plan.layout], agents, options.timesteps)
+    agents, timesteps, note = options.usual(plan, agents)
     tracks = place(paths, f"{plan.name}_paths.csv", (".csv", ".json"), [layout])
     if tracks and agents * timesteps > MOST_SHOWN:
         most = MOST_SHOWN // agents

@@ -9,6 +9,7 @@ import numpy as np
 
 from qdenv.domains.base import make_domain
 from qdenv.generators import CostsConfig, UpdateConfig
+from qdenv.grid import draw
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Search
@@ -46,13 +47,12 @@ def guide_config(
     """
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, fleet.agents)
     domain = plan.fitted()
-    rows = tuple("".join(".#"[not one] for one in row) for row in domain.drivable(plan.layout))
+    rows = tuple(draw(domain.drivable(plan.layout).astype(np.int8), "#."))
     generators: dict[str, Any] = {
         "costs": CostsConfig(rows, base),
         "update": UpdateConfig(base=base),
     }
-    drawing = tuple("".join(domain.tiles[tile] for tile in row) for row in plan.layout)
-    settings = replace(domain.config, fleet=fleet, keep=drawing)
+    settings = replace(domain.config, fleet=fleet, keep=tuple(draw(plan.layout, domain.tiles)))
     generator = look_up(generators, method, "method")
     # The measures of a floor that stands are numbers: one cell holds them all.
     axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
@@ -98,11 +98,11 @@ def find_guidance(
         raise InputError(
             f"{run}: no update model was searched there: `qdenv guide --method update`"
         )
-    draw, tasks = make_costs_drawer(config, domain), domain.simulator.tasks
-    assert draw is not None
+    drawer, tasks = make_costs_drawer(config, domain), domain.simulator.tasks
+    assert drawer is not None
     costs, judged = {}, {}
     for name, solution in read_solutions(run).items():
-        costs[name] = draw(solution[None], layout[None])[0]
+        costs[name] = drawer(solution[None], layout[None])[0]
         done = run_seeds(Floor(layout, costs[name]), tasks, domain.config.fleet, JUDGES)
         judged[name] = float(np.mean([one.throughput for one in done.runs]))
     return costs[max(judged, key=judged.__getitem__)], judged

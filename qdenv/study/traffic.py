@@ -32,14 +32,7 @@ from qdenv.stats import sample_of
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
-from qdenv.study.recordings import (
-    FADING,
-    Maps,
-    cells_with_half,
-    fading,
-    map_run,
-    worst_cells,
-)
+from qdenv.study.recordings import FADING, Maps, cells_with_half, fading, map_run, worst_cells
 from qdenv.study.table import WORTH, Row, summarise, value_of_an_agent
 from qdenv.types import InputError, Traffic
 

@@ -15,18 +15,9 @@ from matplotlib.patches import Patch, Rectangle
 from qdenv.guidance import preferences
 from qdenv.study.diagnosis import Remark
 from qdenv.types import Array, InputError
+from qdenv.view import style
 from qdenv.view.guidance import STRONGEST, draw_arrows
 from qdenv.view.layouts import CHANGED, draw_layout, draw_plan, number_cells, side_of
-from qdenv.view.style import (
-    GREY,
-    MARKERS,
-    PALETTE,
-    SCREEN_DPI,
-    WARNING,
-    add_legend,
-    new_figure,
-    styled,
-)
 from qdenv.view.traffic import draw_map, top_of
 
 if TYPE_CHECKING:
@@ -38,15 +29,15 @@ _FRAMED = 0.4  # share of the cells beyond which a change is a new floor: frames
 # The broad marks first: the small ones are drawn over them.
 _LOOKS = {
     "narrow": ("#f0e442", "", 0.6, 0.0),  # colour, hatch, opacity, points of the frame
-    "dead ends": (PALETTE[3], "////", 0.9, 0.6),
-    "stations": (PALETTE[2], "", 0.0, 1.6),
-    "cuts": (PALETTE[4], "xxxx", 0.9, 0.9),
-    "broken": (WARNING, "", 0.0, 2.0),
+    "dead ends": (style.PALETTE[3], "////", 0.9, 0.6),
+    "stations": (style.PALETTE[2], "", 0.0, 1.6),
+    "cuts": (style.PALETTE[4], "xxxx", 0.9, 0.9),
+    "broken": (style.WARNING, "", 0.0, 2.0),
 }
 _LETTERS = 42  # of a line of the legend
 
 
-@styled
+@style.styled
 def draw_change(
     before: Plan,
     after: Plan,
@@ -78,7 +69,7 @@ def draw_change(
     # Of a panel's width, labels and colour bars take a part; titles and legends stand around it.
     side = 0.5 * width - (0.4 if usages is None else 1.2)  # inches of a layout
     high, lines = side * rows / cols, 1 if usages is None else 2
-    figure = new_figure(width, lines * (high + 0.7) + 0.8, dpi=SCREEN_DPI)
+    figure = style.new_figure(width, lines * (high + 0.7) + 0.8, dpi=style.SCREEN_DPI)
     panels = figure.subplots(lines, 2, squeeze=False)
     changed = before.layout != after.layout
     for axes, plan, verb, name in zip(
@@ -97,10 +88,8 @@ def draw_change(
     return figure
 
 
-@styled
-def draw_racks_moved(
-    found: Mapping[str, tuple[Array, Array]], agents: int, plan: float, width: float = 6.0
-) -> Figure:
+@style.styled
+def draw_racks_moved(found: Mapping[str, tuple[Array, Array]], agents: int, plan: float) -> Figure:
     """Draw what moving racks brings: tasks per timestep over the number of racks moved.
 
     Args:
@@ -108,26 +97,26 @@ def draw_racks_moved(
             timestep float [N].
         agents: number of robots that the searches simulated.
         plan: tasks per timestep of the plan itself.
-        width: inches.
 
     Returns:
         a figure with a point for each layout.
     """
-    figure = new_figure(width, 0.5 * width)
+    figure = style.new_figure(6.0, 3.0)
     axes = figure.subplots()
     for (name, (moved, throughput)), colour, marker in zip(
-        found.items(), PALETTE, MARKERS, strict=False
+        found.items(), style.PALETTE, style.MARKERS, strict=False
     ):
         axes.plot(moved, throughput, marker, color=colour, label=name, alpha=0.7, mew=0)
-    axes.axhline(plan, color=GREY, ls="--", lw=1)
-    axes.annotate("the plan", (0, plan), (2, -3), textcoords="offset points", va="top", color=GREY)
+    axes.axhline(plan, color=style.GREY, ls="--", lw=1)
+    look: Any = {"textcoords": "offset points", "va": "top", "color": style.GREY}
+    axes.annotate("the plan", (0, plan), (2, -3), **look)
     axes.set(
         xlabel="racks moved",
         ylabel="tasks per timestep",
         title=f"what moving racks brings, {agents} robots in the searches' short runs",
     )
     axes.grid()
-    add_legend(figure, *axes.get_legend_handles_labels())
+    style.add_legend(figure, *axes.get_legend_handles_labels())
     return figure
 
 
@@ -152,7 +141,7 @@ def _frame(
         axes.add_collection(look)
 
 
-@styled
+@style.styled
 def draw_diagnosis(plan: Plan, broken: Sequence[Violation], remarks: Sequence[Remark]) -> Figure:
     """Draw a layout with its marks, and a legend at the right that says what each one is.
 

@@ -75,7 +75,6 @@ def make_explorer(
     draw = make_costs_drawer(config, domain)
     if draw is not None:
         facts["arrows"] = ARROWS
-        chunks |= _pack_guidance(archive, domain, draw)
         scripts[-1:-1] = ["arrows", "explorer_arrows"]
     page = make_page(
         "explorer",
@@ -86,7 +85,7 @@ def make_explorer(
             "plotly": get_plotlyjs().encode(),
             "cells": archive.columns["index"].astype("<i4"),
             **numbers,
-            **_pack_layouts(archive, bits),
+            **_pack_layouts(archive, domain, bits, draw),
             **chunks,
         },
         archive=archive,
@@ -192,32 +191,24 @@ def _finite(values: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan).astype("<f4")
 
 
-def _pack_layouts(archive: SavedArchive, bits: int) -> dict[str, str]:
-    """Pack all layouts, and in which tiles they differ from what was drawn before the repair."""
-    kinds, cells = len(archive.schema.tiles), archive.columns["repaired"][0].size
-    repaired = archive.columns["repaired"].reshape(-1, cells)
-    drawn = archive.columns.get("unrepaired", archive.columns["repaired"]).reshape(-1, cells)
+def _pack_layouts(
+    archive: SavedArchive, domain: Domain, bits: int, draw: CostsDrawer | None
+) -> dict[str, str]:
+    """Pack all layouts in chunks, where the repair changed them, and the arrows of their costs."""
+    repaired = archive.columns["repaired"]
     # Most tiles stay: the difference compresses far better than the tiles themselves.
-    change = (drawn - repaired) % kinds
+    change = (archive.columns.get("unrepaired", repaired) - repaired) % len(archive.schema.tiles)
     packed = {}
     for number, start in enumerate(range(0, len(archive), _LAYOUTS)):
         part = slice(start, start + _LAYOUTS)
-        both = [pack_bits(one[part].astype(np.uint8), bits) for one in (repaired, change)]
+        tiles = np.stack([repaired[part], change[part]]).astype(np.uint8)
+        both = [pack_bits(one.reshape(len(one), -1), bits) for one in tiles]
         packed[f"layouts-{number}"] = pack(np.stack(both))
-    return packed
-
-
-def _pack_guidance(archive: SavedArchive, domain: Domain, draw: CostsDrawer) -> dict[str, str]:
-    """Draw the costs of all elites, and pack their arrows, a byte a cell, in chunks of layouts."""
-    packed = {}
-    for number, start in enumerate(range(0, len(archive), _LAYOUTS)):
-        solutions, layouts = (
-            archive.columns[name][start : start + _LAYOUTS] for name in ("solution", "repaired")
-        )
-        each = zip(draw(solutions, layouts), domain.drivable(layouts), strict=True)
-        packed[f"arrows-{number}"] = pack(
-            np.stack([pack_arrows(preferences(*one)) for one in each])
-        )
+        if draw is not None:
+            costs = draw(archive.columns["solution"][part], repaired[part])
+            each = zip(costs, domain.drivable(repaired[part]), strict=True)
+            arrows = [pack_arrows(preferences(*one)) for one in each]
+            packed[f"arrows-{number}"] = pack(np.stack(arrows))
     return packed
 
 

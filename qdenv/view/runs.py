@@ -13,35 +13,23 @@ from qdenv.domains.base import make_domain
 from qdenv.run.directory import Note, RunDirectory
 from qdenv.study.groups import CURVES, Group, band_of, group_runs
 from qdenv.types import Measure
-from qdenv.view import PAGE
+from qdenv.view import PAGE, style
 from qdenv.view.archive import TALL, WIDTH, draw_archive, draw_heatmap, scatter_objectives
 from qdenv.view.layouts import draw_marks, draw_plan
-from qdenv.view.style import (
-    ABREAST,
-    GREY,
-    PALETTE,
-    SCREEN_DPI,
-    SMALL,
-    add_legend,
-    new_figure,
-    new_grid,
-    save_figure,
-    styled,
-)
 
 _DASHES = ("-", "--", ":", "-.")  # of lines beyond the colours
 _TALL = 0.85  # of its width: the height of a panel
 _TITLES = 0.55  # inches above and below it
 
 
-@styled
+@style.styled
 def _draw_notes(notes: list[Note]) -> Figure:
     """Draw a panel for each kind of number: ``loss_repair`` and ``loss_usage`` are of one kind."""
     kinds: dict[str, list[str]] = {}
     for name in notes[0]:
         if name not in ("iteration", "evaluations", "fits"):  # counters
             kinds.setdefault(name.partition("_")[0], []).append(name)
-    figure, panels = new_grid(len(kinds), 4, (2.5, 3.4), dpi=SCREEN_DPI)
+    figure, panels = style.new_grid(len(kinds), 4, (2.5, 3.4), dpi=style.SCREEN_DPI)
     evaluations = [note["evaluations"] for note in notes]
     for axes, (kind, names) in zip(panels, kinds.items(), strict=True):
         for name in names:
@@ -62,24 +50,24 @@ def _draw_notes(notes: list[Note]) -> Figure:
     return figure
 
 
-@styled
+@style.styled
 def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) -> Figure:
     """Draw QD-score, coverage and best objective over evaluations (Figure 20).
 
     A line for each group, the mean of its runs, with a band where there are several. `objective` is
     the label of what is maximised; on narrow paper the panels stand one below the other.
     """
-    across, tall = (3, _TALL) if width >= ABREAST else (1, 0.5)
+    across, tall = (3, _TALL) if width >= style.ABREAST else (1, 0.5)
     down = 3 // across
-    figure = new_figure(width, down * (tall * width / across + _TITLES))
+    figure = style.new_figure(width, down * (tall * width / across + _TITLES))
     panels = figure.subplots(down, across, sharex=True).ravel()
     for axes, (name, title) in zip(panels, CURVES.items(), strict=True):
         for place, group in enumerate(groups):
             mean, half = band_of(group.curves[name])
-            colour = PALETTE[place % len(PALETTE)]
+            colour = style.colour(place)
             # A line through one point is invisible: the last point is marked.
             look: Any = {"color": colour, "marker": "o", "markevery": [len(mean) - 1]}
-            dashes = _DASHES[place // len(PALETTE) % len(_DASHES)]
+            dashes = _DASHES[place // len(style.PALETTE) % len(_DASHES)]
             axes.plot(group.evaluations, mean, dashes, label=group.title, **look)
             if len(group.runs) > 1:
                 low, high = mean - half, mean + half
@@ -94,18 +82,18 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
         # Few and full numbers: "1e6" would need a reader who looks for it at the axis' end.
         axes.locator_params(axis="x", nbins=4)
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-    panels[-1].set_ylabel(objective, fontsize=SMALL)
+    panels[-1].set_ylabel(objective, fontsize=style.SMALL)
     for axes in panels if down == 1 else panels[-1:]:
         axes.set_xlabel("evaluations")
     if len(groups) > 1:
-        add_legend(figure, *panels[0].get_legend_handles_labels())
+        style.add_legend(figure, *panels[0].get_legend_handles_labels())
     if any(len(group.runs) > 1 for group in groups):
         meaning = "lines: mean over runs, bands: its 95 % interval"
-        figure.supxlabel(meaning, fontsize=SMALL, color=GREY)
+        figure.supxlabel(meaning, fontsize=style.SMALL, color=style.GREY)
     return figure
 
 
-@styled
+@style.styled
 def draw_archives(
     archives: Sequence[tuple[str, np.ndarray, Sequence[Measure]]],
     objective: str,
@@ -118,7 +106,7 @@ def draw_archives(
     """
     across = min(len(archives), max(1, int(width / 1.65)))  # inches of the narrowest panel
     size = width / across, _TALL * width / across + _TITLES
-    figure, panels = new_grid(len(archives), across, size, (0, _TITLES))
+    figure, panels = style.new_grid(len(archives), across, size, (0, _TITLES))
     filled = np.concatenate([values[np.isfinite(values)] for _, values, _ in archives])
     # One scale for all, from the worst elite to the best.
     low, high = (filled.min(), filled.max()) if len(filled) else (0.0, 1.0)
@@ -128,7 +116,7 @@ def draw_archives(
         title, values, measures = one
         image = draw_heatmap(axes, values, measures, low, high)
         share = f"{np.isfinite(values).mean():.1%} filled"
-        axes.set_title("\n".join([*wrap(title, letters), share]), fontsize=SMALL + 0.5)
+        axes.set_title("\n".join([*wrap(title, letters), share]), fontsize=style.SMALL + 0.5)
         axes.set_xlabel("\n".join(wrap(axes.get_xlabel(), letters)))
         if place % across and measures[1:] == archives[place - 1][2][1:]:
             axes.set_ylabel("")  # its left neighbour names the same axis
@@ -157,20 +145,21 @@ def plot_run(
         run.demand_own()
     schema, place = run.schema, folder or run.path
     pictures = [place / f"archive.{form}", place / f"progress.{form}"]
-    heatmap = new_figure(width or WIDTH, TALL * (width or WIDTH))
+    heatmap = style.new_figure(width or WIDTH, TALL * (width or WIDTH))
     objectives = scatter_objectives(run.archive.columns, run.measures)
     draw_archive(heatmap, objectives, schema.measures, label=schema.objective)
-    save_figure(heatmap, pictures[0])
-    save_figure(draw_progress(group_runs([run]), schema.objective, width or PAGE), pictures[1])
+    style.save_figure(heatmap, pictures[0])
+    progress = draw_progress(group_runs([run]), schema.objective, width or PAGE)
+    style.save_figure(progress, pictures[1])
     if notes := run.read_notes():
         pictures.append(place / f"notes.{form}")
-        save_figure(_draw_notes(notes), pictures[-1])
+        style.save_figure(_draw_notes(notes), pictures[-1])
     if len(archive := run.archive):
         layout, domain = archive.best.layout, make_domain(run.config.evaluation.domain)
         pictures.append(place / f"best_layout.{form}")
         figure = draw_plan(layout, schema.tiles, schema.tile_names, numbered=False)
         draw_marks(figure.axes[0], domain.mark_cells(layout))
-        save_figure(figure, pictures[-1], crop=True)
+        style.save_figure(figure, pictures[-1], crop=True)
     return pictures
 
 
@@ -189,6 +178,6 @@ def plot_runs(
         for run in group.runs:
             objectives = scatter_objectives(run.archive.columns, run.measures)
             archives.append((group._replace(runs=(run,)).title, objectives, run.measures))
-    save_figure(draw_archives(archives, objective, width), pictures[0])
-    save_figure(draw_progress(groups, objective, width), pictures[1])
+    style.save_figure(draw_archives(archives, objective, width), pictures[0])
+    style.save_figure(draw_progress(groups, objective, width), pictures[1])
     return pictures

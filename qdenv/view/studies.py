@@ -10,30 +10,18 @@ from matplotlib.ticker import PercentFormatter
 
 from qdenv.stats import margin
 from qdenv.study.table import Peak, Row, differences
-from qdenv.view import PAGE
-from qdenv.view.style import (
-    ABREAST,
-    GREY,
-    MARKERS,
-    PALETTE,
-    SMALL,
-    WARNING,
-    add_legend,
-    format_name,
-    new_figure,
-    styled,
-)
+from qdenv.view import PAGE, style
 
 _THROUGHPUT = "throughput [tasks / timestep]"
 
 
-@styled
+@style.styled
 def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
     """Draw layouts side by side: throughput of successful runs above, success rates below.
 
     A line per layout over numbers of agents (Figure 22); bars if there is only one number.
     """
-    figure = new_figure(width, max(0.66 * width, 4.0))
+    figure = style.new_figure(width, max(0.66 * width, 4.0))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     layouts = _by_layout(rows)
     meaning = f"error bars: standard error over {rows[0].runs} runs above, "
@@ -42,7 +30,7 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
         _draw_bars(above, rows)
         for place, own in enumerate(layouts):
             _draw_points(below, [place], own, "success", place)
-        names = [format_name(own[0].name) for own in layouts]
+        names = [style.format_name(own[0].name) for own in layouts]
         below.set_xticks(range(len(names)), names, rotation=20, ha="right")
         above.set_title(f"{rows[0].agents} agents, {rows[0].runs} runs each")
         if len(names) > 1:
@@ -52,11 +40,11 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
         _draw_lines(above, rows, "smooth")
         _draw_lines(below, rows, "success")
         below.set_xlabel("agents")
-        add_legend(figure, *above.get_legend_handles_labels())
+        style.add_legend(figure, *above.get_legend_handles_labels())
     above.set(ylabel=_THROUGHPUT, ylim=(0, None))
-    if width < ABREAST:
+    if width < style.ABREAST:
         meaning = meaning.replace(" above, ", " above,\n").replace(", over all", ",\nover all")
-    figure.supxlabel(meaning, fontsize=SMALL, color=GREY)
+    figure.supxlabel(meaning, fontsize=style.SMALL, color=style.GREY)
     for axes in (above, below):
         axes.grid()
     return figure
@@ -68,21 +56,21 @@ def _draw_bars(axes: Axes, rows: Sequence[Row]) -> None:
         congested = np.isnan(row.throughput)  # no run to average over
         # At NaN, the text that explains it would be drawn nowhere.
         height, error = np.nan_to_num([row.throughput, row.standard_error])
-        axes.bar([place], [height], 0.6, yerr=error, color=PALETTE[place % len(PALETTE)])
+        axes.bar([place], [height], 0.6, yerr=error, color=style.colour(place))
         text = "every run congested" if congested else f"{row.throughput:.2f}"
         if not congested and not np.isnan(against.low):
             text += f"\n{against.percent:+.1f} %\n({against.low:+.1f} to {against.high:+.1f})"
-        look: Any = {"ha": "center", "va": "center", "fontsize": SMALL}
+        look: Any = {"ha": "center", "va": "center", "fontsize": style.SMALL}
         axes.annotate(text, (place, height / 2), color="black" if congested else "white", **look)
 
 
-@styled
+@style.styled
 def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = PAGE) -> Figure:
     """Draw the mean throughput of all runs over agents, with 95 % intervals (Student's t).
 
     Or, with `success`, the share of runs that never congested (Wilson).
     """
-    figure = new_figure(width, 0.48 * width)
+    figure = style.new_figure(width, 0.48 * width)
     axes = figure.subplots()
     _draw_lines(axes, rows, "success" if success else "mean")
     if not success:
@@ -90,7 +78,7 @@ def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = 
     axes.set(xlabel="robots")
     axes.grid()
     if len(axes.containers) > 1:
-        add_legend(figure, *axes.get_legend_handles_labels())
+        style.add_legend(figure, *axes.get_legend_handles_labels())
     return figure
 
 
@@ -127,13 +115,13 @@ def _draw_points(
         errors = np.maximum([low, high], 0)
         axes.set(ylabel="never congested", ylim=(-0.05, 1.05))
         axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    label, look = format_name(rows[0].name), _look(number)
+    label, look = style.format_name(rows[0].name), _look(number)
     axes.errorbar(places, values, errors, label=label, elinewidth=0.8, **look)
 
 
 def _look(number: int) -> dict[str, Any]:
     """Return colour and marker of a layout."""
-    return {"color": PALETTE[number % len(PALETTE)], "marker": MARKERS[number % len(MARKERS)]}
+    return {"color": style.colour(number), "marker": style.MARKERS[number % len(style.MARKERS)]}
 
 
 def _by_layout(rows: Sequence[Row]) -> list[list[Row]]:
@@ -141,35 +129,35 @@ def _by_layout(rows: Sequence[Row]) -> list[list[Row]]:
     return [[row for row in rows if row.name == name] for name in names]
 
 
-@styled
+@style.styled
 def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) -> Figure:
     """Draw how layouts scale (Figure 18): throughput over agents, and the peaks over sizes.
 
     There is one peak for each layout; on narrow paper one panel stands below the other.
     """
-    abreast = width >= ABREAST
-    figure = new_figure(width, 0.48 * width if abreast else 1.6 * width)
+    abreast = width >= style.ABREAST
+    figure = style.new_figure(width, 0.48 * width if abreast else 1.6 * width)
     left, right = figure.subplots(*((1, 2) if abreast else (2, 1)))
     for place, peak in enumerate(peaks):
         own = [row for row in rows if row.layout == peak.layout]
         agents, means = [row.agents for row in own], [row.mean_of_all for row in own]
         look = _look(place)
-        left.plot(agents, means, label=format_name(peak.layout), **look)
+        left.plot(agents, means, label=style.format_name(peak.layout), **look)
         left.plot(peak.agents, peak.throughput, **look | {"marker": "*", "markersize": 11})
     left.set(xlabel="agents", ylabel=f"mean {_THROUGHPUT}", ylim=(0, None), xlim=(0, None))
     left.set_title(f"all of {rows[0].runs} runs each; a star is a peak")
     left.grid()
-    add_legend(figure, *left.get_legend_handles_labels())
+    style.add_legend(figure, *left.get_legend_handles_labels())
     ordered = sorted(peaks, key=lambda peak: peak.rows * peak.cols)
     places = range(len(ordered))
     right.bar(places, [peak.agents for peak in ordered], 0.6, color="#cfd8e3")
     right.set_ylabel("agents at the peak (bars)")
-    labels = [f"{format_name(peak.layout)}\n{peak.rows}x{peak.cols}" for peak in ordered]
+    labels = [f"{style.format_name(peak.layout)}\n{peak.rows}x{peak.cols}" for peak in ordered]
     right.set_xticks(places, labels, rotation=30, ha="right")
     # Agents and throughput have units of their own: one axis at each side.
     twin = right.twinx()
-    twin.plot(places, [peak.throughput for peak in ordered], "o-", color=WARNING)
-    twin.set_ylabel(f"mean {_THROUGHPUT} at the peak", color=WARNING)
+    twin.plot(places, [peak.throughput for peak in ordered], "o-", color=style.WARNING)
+    twin.set_ylabel(f"mean {_THROUGHPUT} at the peak", color=style.WARNING)
     twin.set_ylim(0, None)
     twin.spines["right"].set_visible(True)
     return figure

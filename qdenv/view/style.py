@@ -66,6 +66,12 @@ _FONTS: Any = {
     "svg.hashsalt": "qdenv",  # the same figure gets the same identifiers
 }
 
+
+def colour(number: int) -> str:
+    """Return the colour of the thing of this number among several in one figure."""
+    return PALETTE[number % len(PALETTE)]
+
+
 # Draws in the style of this module and leaves the session's own as it is: `@styled`.
 styled = rc_context(_STYLE)
 

@@ -16,7 +16,7 @@ from matplotlib.ticker import PercentFormatter
 from qdenv.study.recordings import Maps, throughput_over_time, worst_cells
 from qdenv.view import SCREEN
 from qdenv.view.guidance import draw_flow, draw_preferences
-from qdenv.view.style import ABREAST, PALETTE, WARNING, add_legend, new_figure, styled
+from qdenv.view.style import ABREAST, PALETTE, WARNING, add_legend, colour, new_figure, styled
 
 if TYPE_CHECKING:
     from qdenv.study.plans import Plan
@@ -156,7 +156,7 @@ def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float) -
         # A step up at each arrival, from no action to the last one.
         steps = np.concatenate([[0], reached, [most]])
         share = np.concatenate([[0], np.arange(1, len(reached) + 1), [len(reached)]]) / len(actions)
-        axes.step(steps, share, where="post", label=name, color=PALETTE[place % len(PALETTE)])
+        axes.step(steps, share, where="post", label=name, color=colour(place))
     axes.set(xlabel="actions", ylabel="episodes at the goal", xlim=(0, most), ylim=(0, 1.02))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.grid()

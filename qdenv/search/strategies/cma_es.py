@@ -7,24 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from qdenv.search.strategies.base import (
-    LARGEST_CONDITION,
-    SMALLEST_STEP,
-    Params,
-    RankedBatch,
-    Strategy,
-    StrategyState,
-    full_rates,
-    matmul,
-    ranked_parents,
-    rates_row,
-    separable_rates,
-    update_step_size,
-)
+from qdenv.search.strategies import base
 from qdenv.types import InputError
 
 
-class Isotropic(Strategy):
+class Isotropic(base.Strategy):
     """Sample N(mean, std^2 I) and adapt std by its path, O(b P) per iteration.
 
     Exactly what pyribs' CMA-ES does until its first eigendecomposition, which comes after
@@ -34,13 +21,13 @@ class Isotropic(Strategy):
     def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:
         return state.mean[None] + state.std * noise, state  # (39) and (40), C = I
 
-    def _update(self, state: Any, batch: RankedBatch) -> Any:
-        std, p_std = update_step_size(state, batch.mean - state.mean, batch.rates)
+    def _update(self, state: Any, batch: base.RankedBatch) -> Any:
+        std, p_std = base.update_step_size(state, batch.mean - state.mean, batch.rates)
         return state.replace(mean=batch.mean, std=std, p_std=p_std)
 
 
 @struct.dataclass
-class CovarianceState(StrategyState):
+class CovarianceState(base.StrategyState):
     """The search distribution N(mean, std^2 C).
 
     Where C is a matrix, its eigensystem is in the state, renewed when it is due; else None.
@@ -54,7 +41,7 @@ class CovarianceState(StrategyState):
     refreshed: Any = None  # int32, `evaluations` at the last refresh
 
 
-class _Covariance(Strategy):
+class _Covariance(base.Strategy):
     """Adapt a covariance matrix by rank-one and rank-mu updates.
 
     As in pyribs the path p_c is not divided by std and the rank-one term carries its rate twice.
@@ -64,15 +51,15 @@ class _Covariance(Strategy):
 
     state_type = CovarianceState
 
-    def _init_fields(self, params: Params) -> dict[str, Any]:
+    def _init_fields(self, params: base.Params) -> dict[str, Any]:
         fields = super()._init_fields(params)
         ones = jnp.ones_like(fields["mean"])
         return fields | {"evaluations": jnp.int32(0), "p_c": fields["mean"], "C": ones}
 
-    def _update(self, state: Any, batch: RankedBatch) -> Any:
+    def _update(self, state: Any, batch: base.RankedBatch) -> Any:
         rates, step = batch.rates, batch.mean - state.mean
         evaluations = state.evaluations + batch.evaluated
-        std, p_std = update_step_size(state, self._whiten(state, step), rates)
+        std, p_std = base.update_step_size(state, self._whiten(state, step), rates)
         # h_sigma of (45) is False while the path is long: a long path says that the step size is
         # far too small, and the covariance must not grow meanwhile. As pyribs: squared lengths,
         # and evaluations in place of generations.
@@ -99,7 +86,7 @@ class _Covariance(Strategy):
         eigenvalues = state.C if state.eigenvalues is None else state.eigenvalues
         largest, smallest = eigenvalues.max(), eigenvalues.min()
         area = state.std * jnp.sqrt(largest)
-        healthy = (largest / smallest <= LARGEST_CONDITION) & (area >= SMALLEST_STEP)
+        healthy = (largest / smallest <= base.LARGEST_CONDITION) & (area >= base.SMALLEST_STEP)
         return ~(healthy & jnp.isfinite(area))
 
 
@@ -110,7 +97,7 @@ class Separable(_Covariance):
     complexity", https://inria.hal.science/inria-00287367.
     """
 
-    covariance_rates = staticmethod(separable_rates)
+    covariance_rates = staticmethod(base.separable_rates)
 
     def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:
         deviations = state.std * jnp.sqrt(state.C)
@@ -132,7 +119,7 @@ class Full(_Covariance):
     vmap becomes a select.
     """
 
-    def _init_fields(self, params: Params) -> dict[str, Any]:
+    def _init_fields(self, params: base.Params) -> dict[str, Any]:
         fields = super()._init_fields(params)
         ones, identity = fields["C"], jnp.diag(fields["C"])
         eigensystem = {"B": identity, "eigenvalues": ones, "refreshed": fields["evaluations"]}
@@ -143,7 +130,7 @@ class Full(_Covariance):
         due = state.evaluations > state.refreshed + gap
         covariance, basis, eigenvalues = _refresh_if(due, state.C, state.B, state.eigenvalues)
         transform = basis * jnp.sqrt(eigenvalues)[None]
-        solutions = matmul(noise, transform.T)  # (39)
+        solutions = base.matmul(noise, transform.T)  # (39)
         return state.mean[None] + state.std * solutions, state.replace(  # (40)
             C=covariance,
             B=basis,
@@ -153,10 +140,10 @@ class Full(_Covariance):
 
     def _whiten(self, state: CovarianceState, step: jax.Array) -> jax.Array:
         # By way of the eigenbasis, in which the root is a division.
-        return matmul(state.B, matmul(step, state.B) / jnp.sqrt(state.eigenvalues))
+        return base.matmul(state.B, base.matmul(step, state.B) / jnp.sqrt(state.eigenvalues))
 
     def _outer(self, weights: jax.Array, steps: jax.Array) -> jax.Array:
-        return matmul((weights[:, None] * steps).T, steps)
+        return base.matmul((weights[:, None] * steps).T, steps)
 
 
 def refresh_gap(dim: int, batch: int) -> float:
@@ -165,7 +152,7 @@ def refresh_gap(dim: int, batch: int) -> float:
     The matrix hardly changes in fewer; the tutorial counts generations instead
     (section on numerical effort).
     """
-    rates = rates_row(max(batch // 2, 1), batch, dim, full_rates)
+    rates = base.rates_row(max(batch // 2, 1), batch, dim, base.full_rates)
     return float(0.5 * batch / (dim * (rates.rank_one + rates.rank_mu)))
 
 
@@ -207,7 +194,7 @@ def _decompose(covariance: jax.Array, basis: jax.Array, eigenvalues: jax.Array) 
 
 
 @struct.dataclass
-class LimitedMemoryState(StrategyState):
+class LimitedMemoryState(base.StrategyState):
     """State of `LimitedMemory`."""
 
     generations: jax.Array  # int32, since the last restart
@@ -215,7 +202,7 @@ class LimitedMemoryState(StrategyState):
     noise: jax.Array  # float [b, P], the standard normal draws of the last ask
 
 
-class LimitedMemory(Strategy):
+class LimitedMemory(base.Strategy):
     """LM-MA-ES: a matrix remembered as direction vectors, as many as the batch, O(b^2 P).
 
     Loshchilov, Glasmachers and Beyer 2017, "Limited-memory matrix adaptation for large scale
@@ -223,7 +210,7 @@ class LimitedMemory(Strategy):
     """
 
     state_type = LimitedMemoryState
-    smallest_step = SMALLEST_STEP / 10  # pyribs
+    smallest_step = base.SMALLEST_STEP / 10  # pyribs
 
     def __init__(self, population_size: int, solution: Any, **settings: Any) -> None:
         """Compute the rates; raise InputError if the batch is larger than the solution."""
@@ -240,7 +227,7 @@ class LimitedMemory(Strategy):
         self.bend_rates = 1 / (1.5 ** np.arange(batch) * dim)
         self.memory_rates = batch / (4.0 ** np.arange(batch) * dim)
 
-    def _init_fields(self, params: Params) -> dict[str, Any]:
+    def _init_fields(self, params: base.Params) -> dict[str, Any]:
         blank = jnp.zeros((self.population_size, self.num_dims), self.solution_flat.dtype)
         own = {"generations": jnp.int32(0), "memory": blank, "noise": blank}
         return super()._init_fields(params) | own
@@ -252,18 +239,18 @@ class LimitedMemory(Strategy):
 
         def bend(rows: jax.Array, vector_rate: tuple) -> tuple[jax.Array, None]:
             vector, rate = vector_rate
-            projected = matmul(rows, vector)[:, None] * vector[None]
+            projected = base.matmul(rows, vector)[:, None] * vector[None]
             return (1 - rate) * rows + rate * projected, None
 
         # Stretched along the vectors of the memory, one after the other.
         bent = jax.lax.scan(bend, noise, (state.memory, rates))[0]
         return state.mean[None] + state.std * bent, state.replace(noise=noise)
 
-    def _update(self, state: Any, batch: RankedBatch) -> Any:
+    def _update(self, state: Any, batch: base.RankedBatch) -> Any:
         rates, mean, some = batch.rates, batch.mean, batch.parents > 0
         # The draws z rather than the solutions: they are white whatever the memory has learnt.
         blank = jnp.zeros_like(state.mean)
-        draws = ranked_parents(state.noise, batch.order, batch.parents, blank)
+        draws = base.ranked_parents(state.noise, batch.order, batch.parents, blank)
         draw = (rates.weights[:, None] * draws).sum(axis=0)
         along = jnp.where(some, self.path_rate, 0)
         into = jnp.where(some, jnp.asarray(self.memory_rates, mean.dtype), 0)[:, None]
