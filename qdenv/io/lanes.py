@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,17 +25,18 @@ _VEHICLE = "robot"  # the one type of vehicle
 _FREE, _OCCUPIED = 254, 0  # grey of ROS's pictures
 
 
-class _Graph(NamedTuple):
-    """The road map of a drawing."""
-
-    nodes: list[tuple[str, float, float]]  # symbol of the tile, x and y of its centre in metres
-    edges: list[tuple[int, int, float]]  # from node, to node, cost of the move
-    names: list[str]  # of the nodes: row and column in the drawing
-    stations: list[int]  # the nodes that are more than floor
+_Node = tuple[str, float, float]  # symbol of the tile, x and y of its centre in metres
+_Edge = tuple[int, int, float]  # from node, to node, cost of the move
 
 
-def _make_graph(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> _Graph:
-    """Turn the free cells of a drawing into nodes, and the moves allowed into edges."""
+def _make_graph(
+    path: Path, drawing: Drawing, meanings: Mapping[str, Tile]
+) -> tuple[list[_Node], list[_Edge], list[str], list[int]]:
+    """Turn free cells into nodes, and moves allowed into edges.
+
+    Return both, the names of the nodes (their rows and columns), and those that are more than
+    floor: the stations.
+    """
     rows, free = drawing.rows, free_cells(drawing.rows, meanings)
     height, width = free.shape
     side = side_of(path, drawing)
@@ -54,7 +55,7 @@ def _make_graph(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> _
     parts = number[begin].tolist(), number[end].tolist(), costs[1 + kind, row, col].tolist()
     edges = sorted(zip(*parts, strict=True))
     stations = [index for index, node in enumerate(nodes) if node[0] not in BLANKS]
-    return _Graph(nodes, edges, [f"r{row}c{col}" for row, col in places], stations)
+    return nodes, edges, [f"r{row}c{col}" for row, col in places], stations
 
 
 def side_of(path: Path, drawing: Drawing) -> float:
@@ -70,19 +71,22 @@ def _name_of(path: Path, drawing: Drawing) -> str:
     return name if isinstance(name, str) and name else path.name.partition(".")[0]
 
 
-def _lost(drawing: Drawing, meanings: Mapping[str, Tile], graph: _Graph | None = None) -> list[str]:
+def _lost(
+    drawing: Drawing, meanings: Mapping[str, Tile], edges: list[_Edge] | None = None
+) -> list[str]:
     """Name the obstacles that no graph holds, and costs that only say what is dear."""
     used = {symbol for row in drawing.rows for symbol in row}
     names = [tile.name for symbol, tile in meanings.items() if symbol in used and tile.obstacle]
     lost = [f"obstacles ({', '.join(names)}) are"] * bool(names)
-    if graph and len({cost for *_, cost in graph.edges}) > 1:
+    if edges and len({cost for *_, cost in edges}) > 1:
         lost.append("costs of moves (but for moves that are not allowed) are")
     return lost
 
 
 def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write LIF; a station stands at each cell that is more than floor."""
-    graph, name = _make_graph(path, drawing, meanings), _name_of(path, drawing)
+    places, moves, names, stations = _make_graph(path, drawing, meanings)
+    name = _name_of(path, drawing)
     nodes = [
         {
             "nodeId": place,
@@ -91,42 +95,42 @@ def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
             "nodePosition": {"x": x, "y": y},
             "vehicleTypeNodeProperties": [{"vehicleTypeId": _VEHICLE}],
         }
-        for place, (symbol, x, y) in zip(graph.names, graph.nodes, strict=True)
+        for place, (symbol, x, y) in zip(names, places, strict=True)
     ]
     edges = [
         {
-            "edgeId": f"{graph.names[begin]}-{graph.names[end]}",
-            "startNodeId": graph.names[begin],
-            "endNodeId": graph.names[end],
+            "edgeId": f"{names[begin]}-{names[end]}",
+            "startNodeId": names[begin],
+            "endNodeId": names[end],
             "vehicleTypeEdgeProperties": [{"vehicleTypeId": _VEHICLE, "rotationAllowed": False}],
         }
-        for begin, end, _ in graph.edges
+        for begin, end, _ in moves
     ]
-    stations = [
+    served = [
         {
             "stationId": f"station-{nodes[one]['nodeId']}",
             "stationName": f"{nodes[one]['nodeName']} {nodes[one]['nodeId']}",
             "interactionNodeIds": [nodes[one]["nodeId"]],
             "stationPosition": nodes[one]["nodePosition"],
         }
-        for one in graph.stations
+        for one in stations
     ]
     now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     meta = {"projectIdentification": name, "creator": "qdenv", "exportTimestamp": now}
     layout = {"layoutId": name, "layoutVersion": "1", "nodes": nodes, "edges": edges}
-    layouts = [{**layout, "stations": stations}]
+    layouts = [{**layout, "stations": served}]
     write_json(path, {"metaInformation": {**meta, "lifVersion": "1.0.0"}, "layouts": layouts})
-    return _lost(drawing, meanings, graph)
+    return _lost(drawing, meanings, moves)
 
 
 def write_rmf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write a navigation graph of Open-RMF: stations have names, each lane leads one way."""
-    graph = _make_graph(path, drawing, meanings)
-    labels = dict.fromkeys(range(len(graph.nodes)), "")
-    for one in graph.stations:
-        labels[one] = f"{meanings[graph.nodes[one][0]].name} {graph.names[one]}"
-    vertices = [[x, y, {"name": labels[i]}] for i, (_, x, y) in enumerate(graph.nodes)]
-    lanes = [[begin, end, {}] for begin, end, _ in graph.edges]
+    nodes, edges, names, stations = _make_graph(path, drawing, meanings)
+    labels = dict.fromkeys(range(len(nodes)), "")
+    for one in stations:
+        labels[one] = f"{meanings[nodes[one][0]].name} {names[one]}"
+    vertices = [[x, y, {"name": labels[i]}] for i, (_, x, y) in enumerate(nodes)]
+    lanes = [[begin, end, {}] for begin, end, _ in edges]
     lines = [f"building_name: {json.dumps(_name_of(path, drawing))}", "doors: {}", "lifts: {}"]
     lines += ["levels:", "  L1:"]
     # Flow style, which is JSON: one vertex or lane a line.
@@ -134,21 +138,21 @@ def write_rmf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
         lines.append(f"    {name}:" if values else f"    {name}: []")
         lines += [f"      - {json.dumps(value)}" for value in values]
     write_atomically(path, ("\n".join(lines) + "\n").encode())
-    return _lost(drawing, meanings, graph)
+    return _lost(drawing, meanings, edges)
 
 
 def write_nav2(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write a graph of Nav2's route server with the costs of moves as those of edges."""
-    graph = _make_graph(path, drawing, meanings)
+    nodes, edges, names, _ = _make_graph(path, drawing, meanings)
     features: list[dict[str, Any]] = []
-    for one, (symbol, x, y) in enumerate(graph.nodes):
-        about = {"tile": meanings[symbol].name, "cell": graph.names[one]}
+    for one, (symbol, x, y) in enumerate(nodes):
+        about = {"tile": meanings[symbol].name, "cell": names[one]}
         facts = {"id": one, "frame": "map", "metadata": about}
         place = {"type": "Point", "coordinates": [x, y]}
         features.append({"type": "Feature", "properties": facts, "geometry": place})
-    for number, (begin, end, cost) in enumerate(graph.edges, len(graph.nodes)):
+    for number, (begin, end, cost) in enumerate(edges, len(nodes)):
         edge = {"id": number, "startid": begin, "endid": end, "cost": cost, "overridable": False}
-        line = [[*graph.nodes[begin][1:]], [*graph.nodes[end][1:]]]
+        line = [[*nodes[begin][1:]], [*nodes[end][1:]]]
         place = {"type": "MultiLineString", "coordinates": [line]}
         features.append({"type": "Feature", "properties": edge, "geometry": place})
     name = _name_of(path, drawing)

@@ -169,12 +169,7 @@ def improve_folder(
 
 
 def _search(
-    folder: Path,
-    section: str,
-    plan: Plan,
-    config: Any,
-    progress: bool,
-    execution: Execution,
+    folder: Path, section: str, plan: Plan, config: Any, progress: bool, execution: Execution
 ) -> None:
     """Begin the run of a section or go on with it, as long as it has evaluations and minutes."""
     from qdenv.run import loop
@@ -219,8 +214,10 @@ def _choose_start(folder: Path, plan: Plan, config: Any) -> np.ndarray:
 
 
 def _finish(folder: Path, plan: Plan, config: Any, judged: Sequence[Any]) -> Table:
-    """Write and print what is better, section by section."""
+    """Write and print what is better, section by section, and draw what moving racks brings."""
     from qdenv.study import improve as studies
+    from qdenv.view.change import draw_racks_moved  # imports matplotlib
+    from qdenv.view.style import save_figure
 
     rows, counts = [], [config.fleet.agents, round(studies.CROWD * config.fleet.agents)]
     table = [("section", "lanes", "racks moved", *(f"{one} robots (95 %)" for one in counts))]
@@ -243,30 +240,21 @@ def _finish(folder: Path, plan: Plan, config: Any, judged: Sequence[Any]) -> Tab
             _write(folder, plan, one.plan, title, config)
     write_csv(folder / ROWS, Improvement._fields, rows)
     say(folder / ROWS, *format_table(table))
-    say(_draw_racks_moved(folder, plan, config))
+    found = {}  # what the searches found over the racks that they moved
+    for section in studies.SECTIONS:
+        if section != "lanes" and (folder / section).exists():
+            columns = RunDirectory.open(folder / section).archive.columns
+            moves = (drivable(columns["repaired"]) & ~drivable(plan.layout)).sum(axis=(1, 2))
+            found[studies.SECTIONS[section][0]] = moves, columns["objective"]
+    hers = studies.mean_throughput(plan, config.searched, range(4)).mean()
+    picture = folder / "racks_moved.png"
+    save_figure(draw_racks_moved(found, config.searched.agents, float(hers)), picture, crop=True)
+    say(picture)
     _report(folder, plan, [one for one in judged if one.is_better], config)
     worse = [studies.SECTIONS[one.section][0] for one in judged if not one.is_better]
     if worse:
         say(f"nothing better was found by {', '.join(worse)}: no plan is written for that")
     return Table(rows, {"folder": str(folder), "settings": asdict(config)})
-
-
-def _draw_racks_moved(folder: Path, plan: Plan, config: Any) -> Path:
-    """Draw what the searches found over the racks that they moved."""
-    from qdenv.study import improve as studies
-    from qdenv.view.change import draw_racks_moved
-    from qdenv.view.style import save_figure
-
-    found, drivable = {}, plan.domain.drivable
-    searched = [one for one in studies.SECTIONS if one != "lanes" and (folder / one).exists()]
-    for section in searched:
-        columns = RunDirectory.open(folder / section).archive.columns
-        moved = (drivable(columns["repaired"]) & ~drivable(plan.layout)).sum(axis=(1, 2))
-        found[studies.SECTIONS[section][0]] = moved, columns["objective"]
-    hers = studies.mean_throughput(plan, config.searched, range(4)).mean()
-    picture = folder / "racks_moved.png"
-    save_figure(draw_racks_moved(found, config.searched.agents, float(hers)), picture, crop=True)
-    return picture
 
 
 def _report(folder: Path, plan: Plan, better: Sequence[Any], config: Any) -> None:

@@ -60,9 +60,10 @@ def _search(subject: Subject, number: int) -> dict[str, Any]:
     """Return what the page shows of the run that a layout comes from."""
     from qdenv.search.registry import ALGORITHMS  # imports an algorithm when one is looked up
 
-    run, elite = subject.run, subject.elite
-    assert run is not None and elite is not None
+    run = subject.run
+    assert run is not None
     schema, archive, heat_svg = run.schema, run.archive, ""
+    elite = archive.best
     if len(schema.measures) <= 2:
         heat = new_figure(_HEATMAP, 0.78 * _HEATMAP)
         objectives = scatter_objectives(archive.columns, schema.measures)
@@ -77,6 +78,7 @@ def _search(subject: Subject, number: int) -> dict[str, Any]:
     progress = draw_progress(group_runs([run]), schema.objective, WIDTH)
     return {
         "subject": subject,
+        "elite": elite,
         "shipped": run.shipped.generator.about if run.shipped else "",
         "elites": len(archive),
         "algorithm": algorithm_name(ALGORITHMS.name_of(run.config.algorithm)),

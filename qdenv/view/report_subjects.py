@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import PREFIX, file_name
 from qdenv.study.plans import Plan
@@ -25,7 +24,6 @@ class Subject(NamedTuple):
     source: str  # the file or run that it comes from, as the command line names it
     plan: Plan  # the layout and its domain
     run: RunDirectory | None = None  # the run whose best elite it is; None for a file
-    elite: Elite | None = None  # that elite
 
 
 class Rival(NamedTuple):
@@ -49,10 +47,10 @@ def subject_of_run(run: RunDirectory) -> Subject:
 
     Raises InputError if it has none.
     """
-    elite, domain = run.best, make_domain(run.config.evaluation.domain)
+    domain = make_domain(run.config.evaluation.domain)
     name = str(run.shipped).removeprefix(PREFIX) if run.shipped else file_name(run.path)
-    plan = Plan(name, np.asarray(elite.layout), domain, assumed=False)
-    return Subject(name, str(run), plan, run, elite)
+    plan = Plan(name, np.asarray(run.best.layout), domain, assumed=False)
+    return Subject(name, str(run), plan, run)
 
 
 def distinct(subjects: Sequence[Subject]) -> list[Subject]:
