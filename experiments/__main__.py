@@ -17,7 +17,7 @@ import tyro
 
 from experiments.panels import FIGURES
 from experiments.pieces import RESULTS, Experiment, Folders
-from qdenv.cli.parser import run_program
+from experiments.program import run_program
 from qdenv.io.files import write_atomically
 from qdenv.ops.output import format_duration
 from qdenv.run.executors import Execution, ExecutorName

@@ -21,8 +21,8 @@ from scipy import stats
 import qdenv
 from experiments.ledger import Case, complete
 from experiments.pieces import table
+from experiments.program import run_program
 from experiments.traffic import name_layouts
-from qdenv.cli.parser import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
 from qdenv.stats import Sample, sample_of

@@ -18,9 +18,9 @@ import numpy as np
 
 import qdenv
 from experiments.lines import draw_band
+from experiments.program import run_program
 from experiments.published import TABLE_4
 from experiments.runs import whole_run
-from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.ops.output import format_duration, format_table
 from qdenv.run.config import choose_algorithm

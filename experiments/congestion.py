@@ -25,9 +25,9 @@ from matplotlib.axes import Axes
 import qdenv
 from experiments.ledger import Case, Outcome, complete, outcomes_of, read_runs
 from experiments.pieces import table
+from experiments.program import run_program
 from experiments.published import TRAFFIC
 from experiments.traffic import describe, name_layouts
-from qdenv.cli.parser import run_program
 from qdenv.io.files import write_csv
 from qdenv.study.options import parse_counts, parse_seeds
 from qdenv.study.plans import read_plan

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 
 from experiments.pieces import table
-from qdenv.cli.parser import run_program
+from experiments.program import run_program
 from qdenv.domains.base import DOMAINS, Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.registry import Entry

@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from qdenv.cli.parser import run_program
+from experiments.program import run_program
 from qdenv.run.archive import ArchiveSchema, SavedArchive
 from qdenv.search.base import Problem
 from qdenv.search.registry import ALGORITHMS, make_algorithm

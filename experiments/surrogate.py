@@ -21,7 +21,7 @@ import numpy as np
 import tyro
 
 import qdenv
-from qdenv.cli.parser import run_program
+from experiments.program import run_program
 from qdenv.io.files import write_csv
 from qdenv.run.checkpoint import load_newest
 from qdenv.search.base import growing

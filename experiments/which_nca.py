@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import qdenv
+from experiments.program import run_program
 from experiments.runs import whole_run
-from qdenv.cli.parser import run_program
 from qdenv.stats import standard_error
 
 KERNELS = ((3, 3, 3), (3, 1, 1))

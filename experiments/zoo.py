@@ -23,9 +23,9 @@ import numpy as np
 import tyro
 
 from experiments.growing import Cell, Measuring, Workshop
+from experiments.program import run_program
 from experiments.runs import FILES
 from experiments.zoo_rules import RULES, Rule
-from qdenv.cli.parser import run_program
 from qdenv.configurations import PRESETS
 from qdenv.domains.base import DOMAINS
 from qdenv.io.arrays import write_arrays

@@ -79,13 +79,6 @@ class Bar:
             self.begin(step, 1.0 if share >= 0 else 0.0)
         self._done, self._note = share, note
 
-    def print(self, line: str) -> None:
-        """Print a line to standard output above the bar."""
-        from tqdm import tqdm  # here: refused command lines must not wait for this import
-
-        tqdm.write(line)
-        sys.stdout.flush()  # a reader behind a pipe waits for it, too
-
     def __enter__(self) -> Self:
         """Start to draw."""
         if self._shown:

@@ -7,6 +7,8 @@ import pytest
 import tqdm.std
 
 from qdenv import progress
+from qdenv.cli import main
+from qdenv.ops.output import say
 from qdenv.progress import Bar
 
 
@@ -32,8 +34,7 @@ def test_a_short_task_shows_nothing(monkeypatch, capsys):
     with Bar("simulating", total=10, shown=True) as bar:
         bar.update()
         time.sleep(0.05)
-        bar.print("seed 0: done")
-    assert capsys.readouterr() == ("seed 0: done\n", "")
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("options", [{}, {"shown": False, "unit": "eval"}])
@@ -56,9 +57,9 @@ def test_step_share_and_time_left_are_shown(quick, capsys):
 
 
 def test_lines_are_printed_above_the_bar(quick, capsys):
-    with Bar("simulating", total=4, shown=True) as bar:
+    with main._printing(), Bar("simulating", total=4, shown=True):
         wait_for("simulating", capsys)
-        bar.print("seed 0: done")
+        say("seed 0: done")
         assert capsys.readouterr().out == "seed 0: done\n"
 
 

@@ -3,7 +3,7 @@
 import importlib
 import sys
 
-from qdenv.cli.parser import run_program
+from experiments.program import run_program
 
 PROGRAM = "python -m experiments.benchmarks"
 # Name of a benchmark, which is a function of that name -> its module.

@@ -9,8 +9,6 @@ import difflib
 import functools
 import inspect
 import io
-import os
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
@@ -20,7 +18,6 @@ import tyro
 from tyro import _errors as events
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from qdenv import interrupt
 from qdenv.cli.help import ALL, compacted
 from qdenv.ops.options import Mark, option
 from qdenv.ranges import check_range
@@ -148,7 +145,7 @@ def command(operation: Callable) -> Any:
     The latter are `inspect.BoundArguments`; the function's docstring explains them.
     """
     fields: list[Any] = [
-        ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=_bind(operation))]),
+        ("arguments", Annotated[Any, tyro.conf.arg(name="", constructor=bind(operation))]),
         ("json", Annotated[Path | None, _JSON], None),
     ]
     record = dataclasses.make_dataclass("Command", fields)
@@ -156,7 +153,7 @@ def command(operation: Callable) -> Any:
     return record
 
 
-def _bind(function: Callable) -> Callable[..., inspect.BoundArguments]:
+def bind(function: Callable) -> Callable[..., inspect.BoundArguments]:
     """Make a function of the same arguments that checks their ranges and returns them."""
     signature, hints = inspect.signature(function), get_type_hints(function, include_extras=True)
 
@@ -181,22 +178,3 @@ def _bind(function: Callable) -> Callable[..., inspect.BoundArguments]:
     ]
     bound.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return bound
-
-
-def run_program(function: Callable, program: str, words: Sequence[str] | None = None) -> int:
-    """Run a program that is one function, whose arguments are its options; return its exit code.
-
-    `program` is how it is called, like "python -m experiments.benchmarks maze"; `words` are those
-    of this process unless given.
-    """
-    interrupt.watch(program)
-    try:
-        bound = parse(_bind(function), sys.argv[1:] if words is None else words, program)
-        function(*bound.args, **bound.kwargs)
-        sys.stdout.flush()
-    except InputError as error:
-        print(f"qdenv: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # the reader has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # tests import `robustness` from there, too
 
-from qdenv.cli.parser import run_program
+from experiments.program import run_program
 from robustness.campaign import run
 
 if __name__ == "__main__":
