@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 from qdenv.search.archive import GridArchive
-from qdenv.search.cma_mae import (
-    RANKERS,
-    SELECTIONS,
-    EmittersState,
-    make_emitters,
-    restart_rule,
-)
+from qdenv.search.cma_mae import EmittersState, make_emitters
+from qdenv.search.settings import CmaMaeConfig
 from qdenv.search.strategies import make_strategy
 from qdenv.search.strategies.base import StrategyState
 from qdenv.search.strategies.cma_es import refresh_gap
@@ -109,14 +104,10 @@ def test_emitters_rank_select_and_restart_as_pyribs(name, ranker, selection, res
     recorded = load(name)
     steps, count, dim = recorded["mean"].shape
     batch = recorded["solutions"].shape[1] // count
-    emitters = make_emitters(
-        *make_strategy("iso", dim, batch, 0.5),
-        jnp.zeros(dim),
-        count,
-        RANKERS[ranker],
-        SELECTIONS[selection],
-        restart_rule(restart),
+    config = CmaMaeConfig(
+        count, batch, 0.5, ranker=ranker, selection=selection, restart=restart, strategy="iso"
     )
+    emitters = make_emitters(config, jnp.zeros(dim))
 
     @jax.jit
     def step(archive, state, solutions, objective, measures):

@@ -16,7 +16,7 @@ import numpy as np
 
 from qdenv.io.arrays import Content, read_state, write_state
 from qdenv.io.files import damaged
-from qdenv.search.base import stores_in
+from qdenv.search.base import plain_key, stores_in
 from qdenv.types import DamagedError, InputError
 
 _MANIFEST = "manifest"
@@ -124,18 +124,14 @@ def _load(path: Path, initial: Any) -> tuple[Any, Manifest]:
         if held is not None:
             rows, bits = bits, np.zeros((length, *bits.shape[1:]), bits.dtype)
             bits[held] = rows
-        if _is_key(leaf):
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             leaves[number] = jax.random.wrap_key_data(jnp.asarray(bits))
         else:
             leaves[number] = jnp.asarray(bits.view(leaf.dtype))
     return jax.tree.unflatten(structure, leaves), manifest
 
 
-def _is_key(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array) and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-
-
 def _as_bits(leaf: Any) -> np.ndarray:
     """View floats as integers: minus zero and NaN differ from zero, and must be stored."""
-    array = np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf)
+    array = np.asarray(plain_key(leaf))
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "f" else array

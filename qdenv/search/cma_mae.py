@@ -164,35 +164,32 @@ def make_member(strategy: Any, params: Any) -> tuple[Callable, Callable, Callabl
     return init, ask, tell, getattr(strategy, "is_degenerate", is_degenerate)
 
 
-def make_emitters(
-    strategy: Any,
-    params: Any,
-    x0: jax.Array,
-    emitters: int,
-    ranker: Ranker,
-    selection: Selection,
-    restart: RestartRule,
-) -> Emitters:
-    """Join E copies of a strategy, each adapting to its own b rows of every batch.
+def make_emitters(config: CmaMaeConfig, start: jax.Array) -> Emitters:
+    """Make the emitters that a configuration describes, all starting at `start` (float [P]).
 
-    All start at `x0` (float [P]). Each emitter ranks its rows, recombines the best, and restarts
-    from a random elite (from `x0` while the archive is empty) by the rule, when its rows all rank
-    the same or when its distribution is degenerate.
+    They are E copies of a strategy, each adapting to its own b rows of every batch. Each emitter
+    ranks its rows, recombines the best, and restarts from a random elite (from `start` while the
+    archive is empty) by the rule, when its rows all rank the same or when its distribution is
+    degenerate. Raises InputError if a setting is unknown.
     """
-    batch = strategy.population_size
-    init_one, ask_one, tell_one, is_degenerate = make_member(strategy, params)
+    emitters, batch = config.emitters, config.batch
+    member = make_strategy(config.strategy, start.shape[0], batch, config.sigma0)
+    init_one, ask_one, tell_one, is_degenerate = make_member(*member)
+    ranker = look_up(RANKERS, config.ranker, "ranker")
+    selection = look_up(SELECTIONS, config.selection, "selection")
+    restart = restart_rule(config.restart)
 
     def fresh(means: jax.Array, key: jax.Array) -> tuple:
         return jax.vmap(init_one)(means, jax.random.split(key, emitters))
 
     def init(key: jax.Array) -> EmittersState:
-        states, keys = fresh(jnp.broadcast_to(x0, (emitters, *x0.shape)), key)
+        states, keys = fresh(jnp.broadcast_to(start, (emitters, *start.shape)), key)
         return EmittersState(states, keys, jnp.int32(0), jnp.zeros(emitters, jnp.int32))
 
     def ask(state: EmittersState, key: jax.Array) -> tuple[jax.Array, EmittersState]:
         each = jax.random.split(key, emitters)
         solutions, states, keys = jax.vmap(ask_one)(state.strategy, each)
-        chex.assert_shape(solutions, (emitters, batch, x0.shape[0]))
+        chex.assert_shape(solutions, (emitters, batch, start.shape[0]))
         return solutions.reshape(emitters * batch, -1), state._replace(strategy=states, keys=keys)
 
     def adapt(state: Any, key: Any, rows: Scored) -> tuple[Any, jax.Array, jax.Array]:
@@ -212,14 +209,14 @@ def make_emitters(
     def tell(
         state: EmittersState, key: jax.Array, rows: Scored, archive: GridArchive | StoredArchive
     ) -> EmittersState:
-        chex.assert_shape(rows[0], (emitters * batch, x0.shape[0]))
+        chex.assert_shape(rows[0], (emitters * batch, start.shape[0]))
         rows = jax.tree.map(lambda leaf: leaf.reshape(emitters, batch, *leaf.shape[1:]), rows)
         elite_key, fresh_key = jax.random.split(key)
         # Emitters never see each other's rows, so a vmap over them is exact.
         states, accepted, spent = jax.vmap(adapt)(state.strategy, state.keys, rows)
         iterations = state.iterations + 1
         again = spent | restart(accepted, iterations)
-        means = archive.sample_solutions(elite_key, emitters, x0)
+        means = archive.sample_solutions(elite_key, emitters, start)
 
         def pick(new: jax.Array, old: jax.Array) -> jax.Array:
             return jnp.where(again.reshape(-1, *[1] * (new.ndim - 1)), new, old)
@@ -233,7 +230,7 @@ def make_emitters(
         )
         return EmittersState(states, keys, iterations, state.restarts + again)
 
-    return Emitters(init, ask, tell)
+    return make_groups(Emitters(init, ask, tell), config.ahead + 1)
 
 
 def make_groups(emitters: Emitters, groups: int) -> Emitters:
@@ -269,19 +266,6 @@ def make_groups(emitters: Emitters, groups: int) -> Emitters:
     return Emitters(init, ask, tell)
 
 
-def emitters_of(config: CmaMaeConfig, start: jax.Array) -> Emitters:
-    """Make the emitters a config describes, all starting at `start` (float [P])."""
-    group = make_emitters(
-        *make_strategy(config.strategy, start.shape[0], config.batch, config.sigma0),
-        start,
-        config.emitters,
-        look_up(RANKERS, config.ranker, "ranker"),
-        look_up(SELECTIONS, config.selection, "selection"),
-        restart_rule(config.restart),
-    )
-    return make_groups(group, config.ahead + 1)
-
-
 def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> Algorithm:
     """Make CMA-MAE (Fontaine and Nikolaidis 2023), as pyribs' scheduler runs it.
 
@@ -290,7 +274,7 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
     `x0` (float [P]; zeros where None). Raises InputError if a setting is unknown.
     """
     start = start_solution(x0, problem.solution_dim)
-    emitters = emitters_of(config, start)
+    emitters = make_emitters(config, start)
     batch_size = config.emitters * config.batch
 
     def init(key: jax.Array) -> SearchState:

@@ -9,7 +9,7 @@ from qdax.core.emitters.emitter import Emitter, EmitterState
 
 from qdenv.search.archive import GridArchive
 from qdenv.search.base import check_batch, plain_key, start_solution
-from qdenv.search.cma_mae import emitters_of
+from qdenv.search.cma_mae import make_emitters
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.types import Array, Measure, Score
 
@@ -45,7 +45,7 @@ class CmaMaeEmitter(Emitter):
         self._config = config
         self._measures = measures
         self._start = start_solution(x0, solution_dim)
-        self._emitters = emitters_of(config, self._start)
+        self._emitters = make_emitters(config, self._start)
 
     @property
     def batch_size(self) -> int:

@@ -4,7 +4,6 @@ import functools
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -56,18 +55,19 @@ def run_seeds(
     layout, costs = Floor.of(floor)
     count = config.agents if agents is None else agents
     tasks = fleet_tasks(layout, tasks, count)
-    begin = time.process_time()
-    program = _program(tasks, config, layout.shape, read is not None, costs is not None)
-    if not program.ready:
+    begin, known = time.process_time(), _compile.cache_info().misses
+    settings = tasks, config, layout.shape, read is not None, costs is not None
+    prepare, run, on_host = _compile(*settings)
+    new = _compile.cache_info().misses > known
+    if new:
         progress("compiling the simulator", -1, "")
-    world = program.prepare(layout, *([] if costs is None else [costs]))
-    if program.on_host and not program.ready:
-        program.run(world, 0, 0)  # a run without agents loads or compiles the host's code
-    program.ready = True
+    world = prepare(layout, *([] if costs is None else [costs]))
+    if on_host and new:
+        run(world, 0, 0)  # a run without agents loads or compiles the host's code
     compiled = time.process_time()
 
     def one(seed: int) -> tuple[Traffic, Any, float]:
-        traffic, recording = jax.tree.map(np.asarray, program.run(world, seed, count))
+        traffic, recording = jax.tree.map(np.asarray, run(world, seed, count))
         since = time.thread_time()
         reading = read(seed, traffic, recording) if read else None
         return traffic, reading, time.thread_time() - since
@@ -101,32 +101,22 @@ def run_seeds(
     )
 
 
-@dataclass
-class _Program:
-    """The simulation of layouts of one size."""
-
-    prepare: Callable  # (layout, and fixed costs where there are some) -> world
-    run: Callable  # (world, seed, number of agents) -> traffic and recording
-    on_host: bool  # runs are driven by compiled code of the host
-    ready: bool = False  # that code has been loaded or compiled
-
-
 # A study of several sizes and capacities compiles each program once.
 @functools.lru_cache(maxsize=32)
-def _program(
-    tasks: TaskRule,
-    config: fleet.FleetConfig,
-    shape: tuple[int, int],
-    record: bool,
-    has_costs: bool = False,
-) -> _Program:
-    """Compile the preparation and the simulation of layouts of one size."""
+def _compile(
+    tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool, priced: bool
+) -> tuple[Callable, Callable, bool]:
+    """Compile the simulation of layouts of one size; `priced`: moves have fixed costs.
+
+    Return (layout, and costs if `priced`) -> world; (world, seed, number of agents) -> traffic and
+    recording; and whether the latter is compiled code of the host.
+    """
     inputs = [jax.ShapeDtypeStruct(shape, np.int8)]
-    if has_costs:
+    if priced:
         inputs.append(jax.ShapeDtypeStruct((NUM_MOVES, *shape), np.int32))
     prepare = jax.jit(lambda layout, *costs: fleet.prepare(layout, tasks, config, *costs))
     run = fleet.compile_runs(jax.eval_shape(prepare, *inputs), config, record)
     compiled = prepare.lower(*inputs).compile()
     if not PLANNERS.make(config.planner).on_host:
-        return _Program(compiled, run, False)
-    return _Program(lambda *inputs: jax.tree.map(np.asarray, compiled(*inputs)), run, True)
+        return compiled, run, False
+    return lambda *inputs: jax.tree.map(np.asarray, compiled(*inputs)), run, True
