@@ -17,7 +17,7 @@ import numpy as np
 
 from qdenv.io.arrays import open_zip
 from qdenv.simulation.maze.policy import Weights, check_weights
-from qdenv.types import InputError
+from qdenv.types import InputError, about
 
 _MAX_MEMBER = 64 * 2**20  # bytes of one member; the published checkpoint has 2 MB in all
 _MAX_DESCRIPTION = 2**16  # bytes; the published checkpoint has a tenth of that
@@ -118,13 +118,8 @@ def read_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
     path = Path(path)
     if not path.exists():
         raise InputError(f"there is no checkpoint {path}")
-    try:
-        with open_zip(path) as archive:
-            found = _read_description(archive)
-    except InputError as error:
-        message = str(error)
-        whole = message if message.startswith(f"{path}: ") else f"{path}: {message}"
-        raise InputError(whole) from error
+    with open_zip(path) as archive, about(str(path)):
+        found = _read_description(archive)
     if not isinstance(found, dict):
         raise InputError(f"{path} holds no dictionary of tensors")
     for wrapper in ("model", "state_dict"):

@@ -9,11 +9,13 @@ CSV each cell has a line, with `inf` where there is no move.
 import csv
 import io
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP, WAIT
 from qdenv.guidance import existing_moves
+from qdenv.io.files import damaged
 from qdenv.types import InputError
 
 _ORDER = [RIGHT, UP, LEFT, DOWN]
@@ -57,10 +59,10 @@ def weights_of(costs: np.ndarray) -> list[float]:
     return [*waits.tolist(), *np.where(np.isinf(ways), _NOT_ALLOWED, ways).tolist()]
 
 
-def read_table(lines: Sequence[str]) -> tuple[list[str], list[float]]:
+def read_table(path: Path, lines: Sequence[str]) -> tuple[list[str], list[float]]:
     """Read the lines of a CSV file with `TABLE_HEAD`: rows of symbols, and weights.
 
-    Raises InputError if they are not one line for each cell.
+    Raises DamagedError, which names the file `path`, if they are not one line for each cell.
     """
     symbols, cells, values = [], [], []
     reader = csv.reader(lines[1:], strict=True)
@@ -73,11 +75,11 @@ def read_table(lines: Sequence[str]) -> tuple[list[str], list[float]]:
         table = np.array(values, float).reshape(len(cells), NUM_MOVES)
     except (ValueError, csv.Error) as error:
         line = f"line {1 + reader.line_num} is no cell with its costs: fill the columns of the head"
-        raise InputError(line) from error
+        raise damaged(path, line) from error
     rows, cols = (1 + max(axis) for axis in zip(*cells, strict=True)) if cells else (0, 0)
     complete = rows * cols == len(cells) and sorted(cells) == list(np.ndindex(rows, cols))
     if not complete or {*map(len, symbols)} != {1}:
-        raise InputError(f"not one line, with one tile, for each cell of {rows} x {cols}")
+        raise damaged(path, f"not one line, with one tile, for each cell of {rows} x {cols}")
     places = np.lexsort(np.transpose(cells)[::-1])
     drawn = "".join(symbols[place] for place in places)
     costs = np.full((NUM_MOVES, rows, cols), np.inf)

@@ -20,7 +20,7 @@ from qdenv.io.files import damaged, read_text, write_atomically, write_json
 from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, holds, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
-from qdenv.types import Array, DamagedError, InputError, Tile
+from qdenv.types import Array, DamagedError, InputError, Tile, about
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
 _MAX_BYTES = 32 * 2**20
@@ -141,10 +141,7 @@ def read_csv_rows(path: Path) -> Drawing:
     """Join a table's cells, one tile each; lines of one cell are rows as they are."""
     lines = read_lines(path, "CSV")
     if lines and lines[0] == TABLE_HEAD:
-        try:
-            rows, weights = read_table(lines)
-        except InputError as error:
-            raise damaged(path, error) from error
+        rows, weights = read_table(path, lines)
         return Drawing(rows, weights=weights)
     table = split_cells(path, lines)
     if all(len(line) == 1 for line in table):
@@ -219,10 +216,8 @@ def to_layout(
         rows = [row.ljust(width) for row in rows]
     table = str.maketrans(known)
     drawn = [row.translate(table) for row in rows]
-    try:
+    with about(str(path)):
         return parse(drawn, tiles, f"{whose} knows {alphabet(tiles, meanings)}")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def alphabet(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> str:

@@ -283,10 +283,7 @@ def _read_grid(path: Path, lines: list[str]) -> tuple[list[str], list[float]]:
     table = [[cell[0], _TYPES[cell[1]], *cell[2 + station :]] for cell in cells]
     # An obstacle is not waited on, whatever is written there.
     table = [[*cell[:-1], "inf"] if cell[1] == "@" else cell for cell in table]
-    try:
-        return read_table([TABLE_HEAD, *(",".join(cell) for cell in table)])
-    except InputError as error:
-        raise damaged(path, error) from error
+    return read_table(path, [TABLE_HEAD, *(",".join(cell) for cell in table)])
 
 
 def write_rhcr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
