@@ -285,9 +285,7 @@ def _write(folder: Path, plan: Plan, after: Plan, title: str, config: Any) -> No
     written = [target]
     if costs is not None and not holds(config.ending, "weights"):
         written.append(folder / f"{name}_guidance.json")
-        write_layout(
-            written[1], after.layout, domain.tiles, domain.meanings, costs, **domain.details
-        )
+        Layout(after.layout, domain, costs=costs).save(written[1])
         costs = None
     Layout(after.layout, domain, plan.facts.details, costs=costs).save(target)
     usages = map_usage(plan, config.fleet), map_usage(after, config.fleet)

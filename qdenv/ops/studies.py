@@ -50,7 +50,7 @@ def sweep(
     name = f"{Path(args.name_of(layout)).stem}_sweep"
     fleets = _Fleets([layout], agents, SWEEP, name, study)
     with Bar("simulating") as bar:
-        rows = studies.compare(fleets.floors, fleets.trial, fleets.show, bar)
+        rows = fleets.compare(bar)
     # Numbers of agents may be stated in any order; the peak is read along ascending ones.
     rows.sort(key=lambda row: row.agents)
     peak, worth = studies.find_peak(rows), studies.find_capacity(rows)
