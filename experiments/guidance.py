@@ -2,16 +2,19 @@
 
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse empty
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse --agents 100:600:100
+    QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases empty --search 50000 --seeds 5
 
 Zhang, Jiang, Bhatt, Nikolaidis and Li 2024, "Guidance graph optimization for lifelong multi-agent
 path finding", https://arxiv.org/abs/2402.01446, Table 3: T = 1000, PIBT plans every timestep anew,
 priority-based search ten timesteps every five. The floors and graphs are its authors' and no part
-of this repository: they are read from the folder that QDENV_STUDY_DATA names. Costs that
-`qdenv guide` found are in results/guidance/CASE.json.
+of this repository: they are read from the folder that QDENV_STUDY_DATA names. Costs that the search
+of `qdenv guide` found are in results/guidance/CASE-SEED.json; further ones are made by --search, in
+runs/guidance/CASE-SEED, where an interrupted search goes on.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from dataclasses import dataclass, field, replace
@@ -23,13 +26,17 @@ import jax.numpy as jnp
 
 from experiments.pieces import table
 from experiments.program import run_program
+from experiments.runs import whole_run
 from qdenv.domains.base import DOMAINS, Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.guidance import unscaled_costs
+from qdenv.io.layouts import write_layout
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.study.guides import find_guidance, guide_config
 from qdenv.study.options import parse_counts
 from qdenv.study.plans import guide, read_plan
 from qdenv.study.table import Row, Trial, compare, write_rows
@@ -131,19 +138,44 @@ CASES = {
 }
 
 
-def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
-    """Simulate a case under each guidance; the rows are named CASE/GUIDANCE."""
-    case: Case = look_up(CASES, name, "case")
-    register()
+def published(name: str) -> Path:
+    """Return the path of a published floor or graph."""
     folder = os.environ.get("QDENV_STUDY_DATA")
     if folder is None:
         raise InputError("QDENV_STUDY_DATA does not name the folder of published floors")
-    plan = read_plan(Path(folder) / "guidance" / f"{case.floor}.json", case.domain)
+    return Path(folder) / "guidance" / f"{name}.json"
+
+
+def find(name: str, seed: int, simulations: int) -> None:
+    """Find costs for the floor of a case, one simulation an evaluation, and write them."""
+    case: Case = look_up(CASES, name, "case")
+    plan = read_plan(published(case.floor), case.domain)
+    numbers = {"evaluations": simulations, "simulations": 1, "seed": seed}
+    config = guide_config(plan, case.fleet, "costs", "crisscross", **numbers)
+    run = whole_run(config, Path("runs/guidance") / f"{name}-{seed}", report=print)
+    costs, judged = find_guidance(run)
+    free = plan.domain.drivable(plan.layout)
+    facts = {"domain": case.domain, "agents": case.fleet.agents, "simulations": simulations}
+    FOUND.mkdir(parents=True, exist_ok=True)
+    write_layout(
+        FOUND / f"{name}-{seed}.json",
+        plan.layout,
+        plan.domain.tiles,
+        plan.domain.meanings,
+        unscaled_costs(costs, free),
+        **facts | {"judged": max(judged.values())},
+    )
+
+
+def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
+    """Simulate a case under each guidance; the rows are named CASE/GUIDANCE."""
+    case: Case = look_up(CASES, name, "case")
+    plan = read_plan(published(case.floor), case.domain)
     guidances: dict[str, Any] = {"none": "none", "crisscross": "crisscross"}
     if case.graph:
-        guidances["graph"] = Path(folder) / "guidance" / f"{case.graph}.json"
-    if (found := FOUND / f"{name}.json").exists():
-        guidances["ours"] = found
+        guidances["graph"] = published(case.graph)
+    found = {path.stem.rpartition("-"): path for path in sorted(FOUND.glob("*.json"))}
+    guidances |= {f"ours, seed {key[2]}": path for key, path in found.items() if key[0] == name}
     floors = {f"{name}/{one}": guide(plan, where).floor for one, where in guidances.items()}
     counts = agents or (case.fleet.agents,)
     trial = Trial(plan.domain.simulator.tasks, case.fleet, counts, range(seeds))
@@ -154,6 +186,7 @@ def main(
     cases: tuple[str, ...] = ("warehouse", "warehouse-150", "empty", "random"),
     agents: str = "",
     seeds: int = 10,
+    search: int = 0,
     out: Path = Path("runs/guidance.csv"),
 ) -> None:
     """Simulate published floors without guidance, with the published one and with ours.
@@ -161,9 +194,15 @@ def main(
     Args:
         cases: random, warehouse, warehouse-150, empty, warehouse-pbs.
         agents: numbers of agents: 200, or 150,200, or 50:400:50; as published unless given.
-        seeds: how many runs of each.
+        seeds: number of runs of each, or of searches.
+        search: simulations of a search of costs for each case and seed, in place of the table.
         out: table to write.
     """
+    register()
+    if search:
+        for name, seed in itertools.product(cases, range(seeds)):
+            find(name, seed, search)
+        return
     rows = [
         row
         for name in cases
@@ -174,11 +213,11 @@ def main(
     for row in rows:
         name, guidance = row.layout.split("/")
         usual = row.agents == CASES[name].fleet.agents
-        published = CASES[name].published.get(guidance, "") if usual else ""
+        theirs = CASES[name].published.get(guidance, "") if usual else ""
         moved = f"{row.throughput:.3f} +- {row.standard_error:.3f}"
         # A jam is judged by windows of several timesteps.
         success = f"{row.success_rate:.0%}" if CASES[name].fleet.horizon > 1 else ""
-        numbers = success, moved, published, f"{row.cpu_seconds_per_run:.3f}"
+        numbers = success, moved, theirs, f"{row.cpu_seconds_per_run:.3f}"
         lines.append((name, guidance, row.agents, *numbers))
     print("\n".join(table(head, lines)))
     write_rows(out, rows)
