@@ -186,8 +186,8 @@ def main(
     cases: tuple[str, ...] = ("warehouse", "warehouse-150", "empty", "random"),
     agents: str = "",
     seeds: int = 10,
-    search: int = 0,
     out: Path = Path("runs/guidance.csv"),
+    search: int = 0,
 ) -> None:
     """Simulate published floors without guidance, with the published one and with ours.
 
@@ -195,8 +195,8 @@ def main(
         cases: random, warehouse, warehouse-150, empty, warehouse-pbs.
         agents: numbers of agents: 200, or 150,200, or 50:400:50; as published unless given.
         seeds: number of runs of each, or of searches.
-        search: simulations of a search of costs for each case and seed, in place of the table.
         out: table to write.
+        search: simulations of a search of costs for each case and seed, in place of the table.
     """
     register()
     if search:

@@ -68,9 +68,11 @@ class SavedRun(Piece):
     def config(self) -> RunConfig:
         """What is run."""
         base = qdenv.find_preset(self.preset)
+        # Further seeds are compared to the recorded runs, which had these settings.
         if hasattr(base.evaluation.generator, "arithmetic"):
-            # The recorded runs are of the paper's automata, and further seeds are compared to them.
             base = override(base, {"arithmetic": "float"})
+        if hasattr(base.evaluation.domain, "goal_odds"):
+            base = override(base, {"goal_odds": "stations"})
         return replace(base, seed=self.seed, evaluations=self.evaluations or base.evaluations)
 
     def done(self, folders: Folders) -> float:

@@ -10,7 +10,7 @@ import pytest
 
 from qdenv import grid
 from qdenv.configurations import find_preset
-from qdenv.domains.base import find_domain
+from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.manufacturing import TILES, ManufacturingConfig, rules
 from qdenv.nca import make_automaton, seed_canvas
 from qdenv.repairs.anneal.loop import anneal
@@ -94,21 +94,30 @@ def oracle_weights(layout: np.ndarray, kind: int) -> np.ndarray:
     return weights
 
 
-def test_goals_are_endpoints_weighed_by_their_stations():
+PUBLISHED = make_domain(ManufacturingConfig(goal_odds="stations"))
+
+
+def test_goals_are_the_endpoints_beside_stations():
     layout = np.random.default_rng(5).integers(0, 5, (8, 9)).astype(np.int8)
-    for kind, goal in enumerate(DOMAIN.simulator.tasks.cycle):
-        np.testing.assert_array_equal(goal.weight(layout), oracle_weights(layout, kind))
+    for kind, goals in enumerate(
+        zip(DOMAIN.simulator.tasks.cycle, PUBLISHED.simulator.tasks.cycle, strict=True)
+    ):
+        beside = oracle_weights(layout, kind)
+        assert beside.max() > 1
+        np.testing.assert_array_equal(goals[0].weight(layout), beside > 0)
+        np.testing.assert_array_equal(goals[1].weight(layout), beside)
     assert [goal.stay for goal in DOMAIN.simulator.tasks.cycle] == [2, 5, 10]
 
 
-def test_an_endpoint_between_two_stations_is_drawn_twice_as_often():
+@pytest.mark.parametrize(("domain", "share"), [(DOMAIN, 1 / 2), (PUBLISHED, 2 / 3)])
+def test_an_endpoint_between_two_stations_is_as_likely_as_the_odds_say(domain, share):
     layout = grid.parse(["0e0.e0", "1e.2e."], TILES)
-    table = planner.goal_table(layout, DOMAIN.simulator.tasks, 8)
+    table = planner.goal_table(layout, domain.simulator.tasks, 8)
     assert bool(table.complete)
     draws = planner.draw_goals(table, np.zeros(6000, np.int32), jnp.uint32(0))
     cells = Counter(np.asarray(table.cells)[np.asarray(draws)].tolist())
     assert set(cells) == {1, 4}  # the e between two zeros and the e beside one
-    assert cells[1] / 6000 == pytest.approx(2 / 3, abs=0.02)  # three standard deviations
+    assert cells[1] / 6000 == pytest.approx(share, abs=0.02)  # three standard deviations
 
 
 def test_presets_state_the_paper_and_a_quick_look():
@@ -135,7 +144,6 @@ def test_published_layouts_obey_the_rules(name, published):
     assert broken(json.loads(published(name).read_text())["layout"]) == []
 
 
-@pytest.mark.parametrize("name", ["manufacturing", "manufacturing_human"])
-def test_our_own_layouts_obey_the_rules_and_the_unrepaired_one_does_not(name, own_layout):
-    assert broken(json.loads(own_layout(name).read_text())["layout"]) == []
+def test_our_own_layout_obeys_the_rules_and_the_unrepaired_one_does_not(own_layout):
+    assert broken(json.loads(own_layout("manufacturing").read_text())["layout"]) == []
     assert broken(json.loads(own_layout("manufacturing_unrepaired").read_text())["layout"])

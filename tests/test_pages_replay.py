@@ -85,7 +85,7 @@ def test_the_browser_decodes_every_position_goal_wait_and_task(busy, shown):
 
 
 def test_stays_at_goals_are_service_not_waiting(own_layout, tmp_path):
-    plan = read_plan(own_layout("manufacturing_human"))
+    plan = read_plan(own_layout("manufacturing_human_57x58"))
     motion, traffic = record_fleet(plan, FleetConfig(40, 60))
     path = make_replay(plan, motion, traffic).save(tmp_path / "factory.html")
     still = motion.positions[1:] == motion.positions[:-1]

@@ -27,12 +27,14 @@ def test_every_preset_returns_from_json(name):
     assert config_from_json(through_json(config_to_json(config)), SOURCE) == config
 
 
-def test_new_automata_are_exact_and_those_of_older_files_are_of_floats():
-    content = through_json(config_to_json(PRESETS["quick"]))
-    generator = content["evaluation"]["generator"]
-    assert generator.pop("arithmetic") == "exact"
+def test_settings_that_older_files_lack_are_what_held_then():
+    content = through_json(config_to_json(PRESETS["manufacturing-quick"]))
+    evaluation = content["evaluation"]
+    assert evaluation["generator"].pop("arithmetic") == "exact"
+    assert evaluation["domain"].pop("goal_odds") == "endpoints"
     old = config_from_json(content, SOURCE)
-    assert old == override(PRESETS["quick"], {"arithmetic": "float"})
+    former = {"arithmetic": "float", "goal_odds": "stations"}
+    assert old == override(PRESETS["manufacturing-quick"], former)
     assert config_from_json(through_json(config_to_json(old)), SOURCE) == old
 
 

@@ -87,7 +87,7 @@ def test_tiles_of_no_domain_are_named_with_an_alphabet(tmp_path):
     ("name", "domain"),
     [
         ("warehouse_even_nca_a5", "hall"),
-        ("manufacturing_human", "manufacturing"),
+        ("manufacturing_human_57x58", "manufacturing"),
         ("manufacturing_nca_a5", "manufacturing"),
         ("maze_nca_eval", "maze-walls"),
     ],

@@ -10,7 +10,10 @@ from qdenv.types import InputError
 _SHELVES = 10  # shelves of one block
 _BAND = 4  # rows from one line of blocks to the next
 _STATION_BLOCK = 6  # columns of a block of two stations and its share of the lanes
-STATION_SHARE = 93 / (33 * 36)  # stations per cell of the published design of size S
+# Figure 11a: the kinds of the stations in each line.
+_BY_LINE = (*("0" * 11, "1" * 10, "1" * 10, "111222221111"), *["2" * 12] * 3, "2" * 14)
+_SIZE_S = (33, 36)
+STATION_SHARE = 93 / (33 * 36)  # stations per cell there
 _STAND_ALONE_FROM = 50  # rows and columns from which stations stand alone
 _SPACING = (3, 2)  # rows and columns from one stand-alone station to the next
 
@@ -38,7 +41,8 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
     """Draw a hand-made factory: blocks of stations where it is small, single ones where large.
 
     The kinds of station, drawn as ``0``, ``1``, ..., follow one another in row-major order, in
-    numbers as near to the proportions of `ratio` as whole stations allow (appendix D.2). Returns
+    numbers as near to the proportions of `ratio` as whole stations allow (appendix D.2); at 33 x 36
+    two groups of a line are exchanged as in Figure 11a. Returns
     `rows` strings of `cols` symbols: digits, ``e`` and ``.``; raises InputError if too few
     stations fit to have one of each kind.
     """
@@ -58,29 +62,33 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
             f"a factory of {rows} x {cols} holds {places.sum()} stations by hand, too few for "
             "every kind: ask for a bigger one"
         )
-    picture[places] = [str(kind) for kind, number in enumerate(numbers) for _ in range(number)]
+    kinds = "".join(str(kind) * number for kind, number in enumerate(numbers))
+    if (rows, cols) == _SIZE_S and sorted(kinds) == sorted("".join(_BY_LINE)):
+        kinds = "".join(_BY_LINE)
+    picture[places] = list(kinds)
     return ["".join(row) for row in picture]
 
 
 def station_blocks(rows: int, cols: int) -> np.ndarray:
     """Draw pairs of stations ringed by endpoints, with a lane around each ring (Figure 11a).
 
-    Symbols [rows, cols] out of ``.es``, where ``s`` is a station. The last pairs are left out until
-    the share of stations is that of the published design.
+    Symbols [rows, cols] out of ``.es``, where ``s`` is a station. Each line spreads its pairs
+    evenly over the columns; at other sizes than the figure's the lines share the figure's number of
+    stations per cell.
     """
     picture = np.full((rows, cols), ".")
     block = np.array([list("..ee.."), list(".esse."), list("..ee..")])
-    corners = [
-        (top, left)
-        for top in range(1, rows - 3, _BAND)
-        for left in range(0, cols - _STATION_BLOCK + 1, _STATION_BLOCK)
-    ]
-    number = min(round(rows * cols * STATION_SHARE), 2 * len(corners))
-    for top, left in corners[: number // 2]:
-        picture[top : top + 3, left : left + _STATION_BLOCK] = block
-    if number % 2:
-        top, left = corners[number // 2]
-        picture[top : top + 3, left + 1 : left + 4] = [list(".e."), list("ese"), list(".e.")]
+    tops = range(1, rows - 3, _BAND)
+    fitting = 2 * len(tops) * (cols // _STATION_BLOCK)
+    lines = apportion(min(round(rows * cols * STATION_SHARE), fitting), (1,) * len(tops))
+    if (rows, cols) == _SIZE_S:
+        lines = [len(line) for line in _BY_LINE]
+    for top, stations in zip(tops, lines, strict=True):
+        lefts = np.linspace(0, cols - _STATION_BLOCK, -(-stations // 2)).round().astype(int)
+        for left in lefts:
+            picture[top : top + 3, left : left + _STATION_BLOCK] = block
+        if stations % 2:  # the last one stands alone
+            picture[top : top + 3, left + 3 : left + 5] = [list(".."), list("e."), list("..")]
     return picture
 
 

@@ -14,7 +14,7 @@ from qdenv.grid import of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Stay
 from qdenv.registry import Entry
-from qdenv.simulation.mapf.goals import beside_goal
+from qdenv.simulation.mapf.goals import GoalOdds, beside_goal
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Adjacency, Count, Measure, Rules, TaskRule, Tile, Traffic
 
@@ -37,6 +37,9 @@ class ManufacturingConfig(DomainConfig):
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     stays: tuple[Stay, Stay, Stay] = (2, 5, 10)  # timesteps served beside each kind of station
+    # how robots choose among the endpoints beside stations of the next kind: all alike (appendix
+    # B.2), or as often as such stations stand beside them (the published code)
+    goal_odds: GoalOdds = "endpoints"
 
 
 def rules(rows: int, cols: int) -> Rules:
@@ -59,7 +62,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         return score.count(layout, _STATIONS, TILES)
 
     cycle = tuple(
-        beside_goal("e", station, stay, TILES)
+        beside_goal("e", station, stay, TILES, config.goal_odds)
         for station, stay in zip(_STATIONS, config.stays, strict=True)
     )
     return Domain(
@@ -73,7 +76,7 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         simulator=fleet_simulator(TaskRule(TILES, ".e", cycle), config.fleet),
         objective=throughput,
         objective_name=THROUGHPUT,
-        task_settings=("stays",),
+        task_settings=("stays", "goal_odds"),
         similarity_weights=lambda layout: jnp.where(
             of_tiles(layout, _STATIONS, TILES), 1.0, 1.0 / _STATION_WEIGHT
         ),

@@ -26,6 +26,11 @@ from qdenv.types import InputError, Measure
 
 # Settings whose type is a choice, wherever a field of this name stands.
 _CHOICES = dict(domain=DOMAINS, generator=GENERATORS, planner=PLANNERS, algorithm=ALGORITHMS)
+# Settings of runs that were written before these could be chosen: part, its names, what held then.
+_FORMER: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
+    ("generator", ("nca", "guided-nca"), {"arithmetic": "float"}),
+    ("domain", ("manufacturing",), {"goal_odds": "stations"}),
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,11 +70,12 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     evaluation = content.get("evaluation")
     if not isinstance(evaluation, dict):
         raise damaged(source, "no configuration of a run: evaluation is missing")
-    generator = evaluation.get("generator")
-    if isinstance(generator, dict) and generator.get("name") in ("nca", "guided-nca"):
-        # All automata were of floats when nothing was written about it.
-        evaluation = evaluation | {"generator": {"arithmetic": "float"} | generator}
-        content = content | {"evaluation": evaluation}
+    # What was so when nothing was written about it.
+    for part, names, former in _FORMER:
+        settings = evaluation.get(part)
+        if isinstance(settings, dict) and settings.get("name") in names:
+            evaluation = evaluation | {part: former | settings}
+    content = content | {"evaluation": evaluation}
     return structured(content, RunConfig, source, infinite=True, choices=_CHOICES)
 
 

@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 from functools import reduce
 from itertools import pairwise
 from operator import add
+from typing import Literal
 
 import numpy as np
 
 from qdenv.grid import by_tile, count_neighbours, of_tiles
 from qdenv.lazy import ndimage
 from qdenv.types import Array, Goal, InputError, TaskRule
+
+GoalOdds = Literal["endpoints", "stations"]
 
 
 def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
@@ -21,18 +24,21 @@ def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
     )
 
 
-def beside_goal(symbol: str, station: str, stay: int, tiles: str) -> Goal:
-    """Make every `symbol` cell beside a `station` a goal, once per station at its four sides.
+def beside_goal(
+    symbol: str, station: str, stay: int, tiles: str, odds: GoalOdds = "endpoints"
+) -> Goal:
+    """Make every `symbol` cell beside a `station` a goal.
 
-    Agents spend `stay` timesteps on the goal after arriving.
+    Agents spend `stay` timesteps on the goal after arriving. The goals are alike, or with the
+    `odds` "stations" each counts once per station at its four sides.
     """
-    return Goal(
-        lambda layout: (
-            of_tiles(layout, symbol, tiles) * count_neighbours(of_tiles(layout, station, tiles))
-        ).astype(np.float32),
-        stay,
-        f"{symbol!r} beside {station!r}",
-    )
+
+    def weight(layout: Array) -> Array:
+        stations = count_neighbours(of_tiles(layout, station, tiles))
+        alike = stations if odds == "stations" else stations > 0
+        return (of_tiles(layout, symbol, tiles) * alike).astype(np.float32)
+
+    return Goal(weight, stay, f"{symbol!r} beside {station!r}")
 
 
 def station_goal(

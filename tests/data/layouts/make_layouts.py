@@ -26,7 +26,6 @@ GROWN = {
 # name -> (domain, rows, columns)
 HUMAN = {
     "warehouse_human": ("warehouse-even", 33, 36),
-    "manufacturing_human": ("manufacturing", 33, 36),
     "manufacturing_human_57x58": ("manufacturing", 57, 58),
 }
 
