@@ -3,6 +3,8 @@
 import contextlib
 import shlex
 import sys
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +20,7 @@ import tyro
 from experiments.panels import FIGURES
 from experiments.pieces import RESULTS, Experiment, Folders
 from experiments.program import run_program
+from experiments.runs import SavedRun
 from qdenv.io.files import write_atomically
 from qdenv.ops.output import format_duration
 from qdenv.run.executors import Execution, ExecutorName
@@ -32,19 +35,21 @@ def names() -> list[str]:
     return sorted([*FIGURES, *(path.stem for form in scripts for path in folder.glob(form))])
 
 
-def find(name: str) -> Experiment:
-    """Find an experiment; raise InputError if none has this name."""
+def find(name: str, seeds: int = 1) -> Experiment:
+    """Find an experiment, of `seeds` searches each; raise InputError if none has this name."""
     look_up(dict.fromkeys(names()), name, "experiment")
-    if name in FIGURES:
-        return FIGURES[name]
-    found: Experiment = import_module(f"experiments.{name}").EXPERIMENT
-    return found
+    found: Experiment = (
+        FIGURES[name] if name in FIGURES else import_module(f"experiments.{name}").EXPERIMENT
+    )
+    runs = [piece for piece in found.pieces if isinstance(piece, SavedRun)]
+    further = [replace(run, seed=seed) for run, seed in product(runs, range(1, seeds))]
+    return replace(found, pieces=(*found.pieces, *further))
 
 
-def list_all(folders: Folders) -> None:
+def list_all(folders: Folders, seeds: int) -> None:
     """Print two lines per experiment: what is there, and what is missing, by kind."""
     for name in names():
-        found = find(name)
+        found = find(name, seeds)
         missing, every = found.missing(folders), len(found.everything)
         print(f"{name:13} {found.shows}: {every - len(missing)} of {every} pieces")
         costs: dict[str, list[float]] = {}
@@ -99,6 +104,7 @@ def main(
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
     making: Annotated[str | None, tyro.conf.arg(name="make", metavar="NAME")] = None,
     missing: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    seeds: int = 1,
     runs: Path = Path("runs"),
     results: Path = RESULTS,
     out: Path | None = None,
@@ -112,6 +118,7 @@ def main(
         experiments: which to draw; all for all that can be drawn.
         making: make what this one is still missing, then draw it; an interruption loses little.
         missing: list what this one is still missing and what making it costs.
+        seeds: number of searches of each kind, of seeds 0, 1, 2, ...; the paper has five.
         runs: folder of whole runs, which are begun or continued here.
         results: folder of what is kept of them.
         out: folder for the pictures and tables; that of the results unless given.
@@ -130,14 +137,14 @@ def main(
                 client = stack.enter_context(execution.connect())
                 execution = Execution("dask", scheduler=client.scheduler_info()["address"])
                 folders = folders._replace(client=client)
-            make(find(making), folders._replace(execution=execution))
+            make(find(making, seeds), folders._replace(execution=execution))
         chosen = [making, *chosen]
     if missing is not None:
-        list_missing(find(missing), folders)
+        list_missing(find(missing, seeds), folders)
     elif not chosen:
-        list_all(folders)
+        list_all(folders, seeds)
     for name in chosen:
-        draw(name, find(name), folders, out or results)
+        draw(name, find(name, seeds), folders, out or results)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
 from experiments.pieces import Folders
-from experiments.runs import SavedRun, Summary
+from experiments.runs import Summary, run_of
 from qdenv.view.archive import draw_heatmap
 
 DOMAINS = ("warehouse-even", "warehouse-uneven", "manufacturing", "maze-walls", "maze-entropy")
@@ -19,31 +19,21 @@ ALGORITHMS = {
     "cma-es": ("#E69F00", "-."),
     "dsage": ("#CC79A7", ":"),
 }
-COMPARED = {"maze-walls": ("cma-mae", "map-elites"), "maze-entropy": ("cma-mae", "map-elites")}
-# What takes days on a CPU with the published surrogate is run with a small one, and fewer
-# evaluations: a row that says so.
-DSAGE = SavedRun("dsage-laptop", evaluations=1000, row="warehouse-even-dsage")
-
-
-def runs_of(domain: str, algorithm: str) -> tuple[SavedRun, ...]:
-    """List the runs of one row of Table 4."""
-    if algorithm == "dsage":
-        return (DSAGE,) if domain == "warehouse-even" else ()
-    if algorithm not in COMPARED.get(domain, ALGORITHMS):
-        return ()
-    return (SavedRun(domain if algorithm == "cma-mae" else f"{domain}-{algorithm}"),)
-
-
-RUNS = tuple(run for domain in DOMAINS for name in ALGORITHMS for run in runs_of(domain, name))
+# By domain and algorithm, of seed 0.
+ROWS = {
+    (domain, name): run_of(domain, "" if name == "cma-mae" else name)
+    for domain, name in product(DOMAINS, ALGORITHMS)
+    if name != "cma-es" or not domain.startswith("maze")
+}
+RUNS = tuple(ROWS.values())
 
 
 def read_all(folders: Folders) -> dict[str, dict[str, list[Summary]]]:
     """Read the saved runs, further seeds as well, by domain and algorithm, as far as there are."""
     found: dict[str, dict[str, list[Summary]]] = {}
-    for domain, name in product(DOMAINS, ALGORITHMS):
-        for run, seed in product(runs_of(domain, name), range(5)):
-            if (one := replace(run, seed=run.seed + seed).read(folders)) is not None:
-                found.setdefault(domain, {}).setdefault(name, []).append(one)
+    for ((domain, name), run), seed in product(ROWS.items(), range(5)):
+        if (one := replace(run, seed=seed).read(folders)) is not None:
+            found.setdefault(domain, {}).setdefault(name, []).append(one)
     return found
 
 

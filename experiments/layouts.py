@@ -13,11 +13,13 @@ import numpy as np
 from experiments import zoo
 from experiments.ledger import Case
 from experiments.pieces import Folders, Piece, say
-from experiments.runs import SavedRun
+from experiments.runs import SavedRun, run_of
 from qdenv.agent.evaluate import BAND, draw_mazes, without_ring
 from qdenv.domains.base import Domain, find_domain
+from qdenv.generators import choose_tiles
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.io.layouts import write_layout
+from qdenv.nca import seed_canvas
 from qdenv.repairs.settings import RepairConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import PREFIX, USUAL, NamedGenerator, named, names
@@ -109,8 +111,8 @@ class SavedLayout(Piece):
     file = "layouts/{0.stem}.json"
     domain: str  # its name
     # "human", "tiled", "nca" (the zoo's best), "nca-s" (the zoo's that moves most at S), "random-0"
-    # and so on (a random maze like the zoo's best), or the end of a preset's name: "a0", "a1",
-    # "cma-es", "dsage", whose run's best elite draws it
+    # and so on (a random maze like the zoo's best), "seed" (what automata grow from), "cma-mae" or
+    # the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose run's best elite draws it
     maker: str
     shape: tuple[int, int] = S  # rows and columns
 
@@ -131,7 +133,7 @@ class SavedLayout(Piece):
             return (self.like,)
         if self.maker in GROWERS:
             return (SavedZoo(self.domain),)
-        return () if self.maker == "human" else (self.run(),)
+        return () if self.maker in ("human", "seed") else (self.run(),)
 
     def done(self, folders: Folders) -> float:
         """Return 1 if it is saved, and made from what it would be made from now."""
@@ -155,7 +157,7 @@ class SavedLayout(Piece):
 
     def run(self) -> SavedRun:
         """Return the run whose best elite draws it."""
-        return SavedRun(f"{self.domain}-{self.maker}")
+        return run_of(self.domain, self.maker.removeprefix("cma-mae"))
 
     def seconds(self, folders: Folders) -> float:
         """Estimate the CPU seconds of making it."""
@@ -192,6 +194,10 @@ class SavedLayout(Piece):
         if self.maker == "human":
             layout = sizes.human_layout(domain)
             domain = replace(domain, rules=None)  # people obey the rules: nothing is repaired
+        elif self.maker == "seed":
+            canvas = seed_canvas(domain.seed_block, *domain.generated_shape, domain.generated)
+            layout = np.asarray(domain.frame(choose_tiles(canvas)))
+            domain = replace(domain, rules=None)  # nothing is repaired here either
         elif self.maker == "tiled":
             layout = sizes.tile_layout(domain, self.like.read(folders).layout)
         elif self.maker.startswith("random-"):
@@ -201,7 +207,7 @@ class SavedLayout(Piece):
             if self.maker in GROWERS:
                 run = open_generator(self.domain, self.maker)
             else:
-                run = self.run().whole(folders)
+                run = self.run().best(folders)
             grown = sizes.grow_elite(run, "best", self.shape)
             return grown, run.config.evaluation.repair, run.config.seed
         return Unrepaired(domain, None, layout, 0), RepairConfig(), 0

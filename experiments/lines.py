@@ -25,8 +25,11 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "nca": Look("CMA-MAE + NCA", "#0072B2", "-", "o"),
-    "nca-s": Look("CMA-MAE + NCA, best at S", "#56B4E9", "-", "D"),
+    "nca": Look("CMA-MAE + NCA, zoo", "#0072B2", "-", "o"),
+    "nca-s": Look("CMA-MAE + NCA, zoo's best at S", "#56B4E9", "-", "D"),
+    "cma-mae": Look("CMA-MAE + NCA", "#000000", "-", "x"),
+    "a1": Look("CMA-MAE + NCA, alpha = 1", "#999999", "--", "x"),
+    "a0": Look("CMA-MAE + NCA, alpha = 0", "#999999", ":", "x"),
     "human": Look("hand-made", "#D55E00", "--", "s"),
     "cma-es": Look("CMA-ES + NCA", "#E69F00", "-.", "^"),
     "tiled": Look("tiled", "#009E73", ":", "v"),

@@ -1,4 +1,4 @@
-"""Figures 7, 10 to 15 and 23: layouts side by side, and what their repairs changed."""
+"""Figures 7, 9 to 15 and 23: layouts side by side, and what their repairs changed."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 
 from experiments.archives import note
 from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, S, SavedLayout
+from experiments.maze_success import PIECES as MAZES
 from experiments.pieces import Drawn, Experiment, Folders, table
 from qdenv.view.layouts import draw_layout
 from qdenv.view.style import new_grid
@@ -22,6 +23,7 @@ class Panel(NamedTuple):
 
 def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
     """Make an experiment that shows layouts side by side, and says what the repair changed."""
+    pieces = tuple(dict.fromkeys(panel.saved for panel in panels))
 
     def draw(folders: Folders) -> Drawn:
         figure, grid = new_grid(len(panels), 3, (4.2, 4.4), dpi=100)
@@ -34,9 +36,14 @@ def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
             share = f"{made.facts['changed'] / made.layout.size:.1%}" if steps else ""
             rows.append((saved.domain, saved.maker, size, steps, made.facts["changed"], share))
         head = ("domain", "maker", "size", "steps of growth", "cells the repair changed", "share")
-        return Drawn(figure, table(head, rows))
+        solved = [
+            f"The agent arrives in {row.successes} of {row.runs} runs in random maze {row.maze}."
+            for piece in MAZES
+            for row in piece.read(folders)
+            if SavedLayout("maze-walls", f"random-{row.maze}", piece.layout.shape) in pieces
+        ]
+        return Drawn(figure, (*table(head, rows), *[""] * bool(solved), *solved))
 
-    pieces = tuple(dict.fromkeys(panel.saved for panel in panels))
     return Experiment(shows, pieces, draw)
 
 
@@ -63,6 +70,12 @@ _WAREHOUSES = {
     for shape in (S, S_EVAL)
 }
 _PANELS: dict[str, tuple] = {
+    "figure_09": (
+        "what automata grow from",
+        Panel("warehouse", SavedLayout("warehouse-even", "seed")),
+        Panel("manufacturing", SavedLayout("manufacturing", "seed")),
+        Panel("maze", SavedLayout("maze-walls", "seed", MAZE_S)),
+    ),
     "figure_07": (
         "example layouts of size S",
         Panel("warehouse", SavedLayout("warehouse-even", "nca")),
@@ -72,11 +85,14 @@ _PANELS: dict[str, tuple] = {
     "figure_10": (
         "warehouses of size S",
         Panel("designed by hand", SavedLayout("warehouse-even", "human")),
+        Panel("even, DSAGE", SavedLayout("warehouse-even", "dsage")),
+        Panel("uneven, DSAGE", SavedLayout("warehouse-uneven", "dsage")),
         *_WAREHOUSES[S],
     ),
     "figure_11": (
         "factories of size S",
         Panel("designed by hand", SavedLayout("manufacturing", "human")),
+        Panel("DSAGE", SavedLayout("manufacturing", "dsage")),
         Panel("grown and repaired", SavedLayout("manufacturing", "nca")),
         Panel("as it was grown", SavedLayout("manufacturing", "nca"), unrepaired=True),
     ),

@@ -1,4 +1,4 @@
-"""Saved runs: configuration, manifest, metrics and a summary of the archive, without weights."""
+"""Saved runs: configuration, manifest, metrics, a summary of the archive, and its best elites."""
 
 import csv
 import shutil
@@ -6,12 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 import qdenv
 from experiments.pieces import Folders, Piece, say
+from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
 from qdenv.ops.costs import cpu_seconds
 from qdenv.run.config import RunConfig, override
@@ -22,7 +23,8 @@ from qdenv.types import Measure
 from qdenv.view.archive import scatter_objectives
 
 FILES = ("config.json", "manifest.json", "metrics.csv")
-SUMMARY = "elites.csv"
+SUMMARY, ARCHIVE = "elites.csv", "archive.npz"
+BEST = 50  # elites that are kept with their weights: the folder is a run of these
 
 
 class Summary(NamedTuple):
@@ -58,6 +60,7 @@ class SavedRun(Piece):
     seed: int = 0  # of the search
     evaluations: int | None = None  # as many as the preset has unless given
     row: str = ""  # how tables call it; the preset unless given
+    settings: tuple[tuple[str, Any], ...] = ()  # that differ from the preset's, by name
 
     @property
     def folder(self) -> str:
@@ -73,6 +76,7 @@ class SavedRun(Piece):
             base = override(base, {"arithmetic": "float"})
         if hasattr(base.evaluation.domain, "goal_odds"):
             base = override(base, {"goal_odds": "stations"})
+        base = override(base, dict(self.settings))
         return replace(base, seed=self.seed, evaluations=self.evaluations or base.evaluations)
 
     def done(self, folders: Folders) -> float:
@@ -98,10 +102,32 @@ class SavedRun(Piece):
         """Return the finished run with all its weights; see `whole_run`."""
         return whole_run(self.config, folders.runs / self.folder, folders.execution, say)
 
+    def best(self, folders: Folders) -> RunDirectory:
+        """Return a run with the weights of its best elites: what is kept, or the whole run."""
+        kept = self.path(folders)
+        return RunDirectory.open(kept) if (kept / ARCHIVE).exists() else self.whole(folders)
+
     def read(self, folders: Folders) -> Summary | None:
         """Read what is kept; None where nothing is."""
         path = self.path(folders)
         return read_summary(path) if (path / SUMMARY).exists() else None
+
+
+# With the published surrogate DSAGE takes weeks on a CPU: fewer evaluations, and a small one whose
+# networks go on from where they are, so that few epochs each time are enough.
+_SMALL: tuple[tuple[str, Any], ...] = (
+    *(("channels", 16), ("blocks", 1), ("epochs", 5), ("standardise", True), ("weights", ())),
+    ("inner_iterations", 500),
+)
+
+
+def run_of(domain: str, ending: str = "") -> SavedRun:
+    """Return the run of a domain by CMA-MAE, or by the preset with an `ending` like "dsage"."""
+    if ending != "dsage":
+        return SavedRun(f"{domain}-{ending}" if ending else domain)
+    if domain == "warehouse-even":
+        return SavedRun("dsage-laptop", evaluations=1000, row="warehouse-even-dsage")
+    return SavedRun(f"{domain}-dsage", evaluations=1000, settings=_SMALL)
 
 
 def whole_run(
@@ -129,7 +155,10 @@ def whole_run(
 
 
 def summarise(run: RunDirectory, target: Path) -> None:
-    """Write what figures need of a run with an archive, in place of what the folder held."""
+    """Write what figures need of a run with an archive, in place of what the folder held.
+
+    The folder can be opened as a run that has found its `BEST` elites only.
+    """
     columns = run.archive.columns
     names = [measure.name for measure in run.measures]
     kept = {"cell": columns["index"], "objective": columns["objective"]}
@@ -148,6 +177,9 @@ def summarise(run: RunDirectory, target: Path) -> None:
     for name in FILES:
         shutil.copyfile(run.path / name, target / name)
     write_csv(target / SUMMARY, list(kept), rows)
+    best = np.sort(np.argsort(-columns["objective"], kind="stable")[:BEST])
+    elites = {name: values[best] for name, values in columns.items()}
+    write_arrays(target / ARCHIVE, elites, compressed=True)
 
 
 @cache

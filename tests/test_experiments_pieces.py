@@ -23,6 +23,7 @@ from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
 from qdenv.io.records import read_rows
 from qdenv.ops.costs import cpu_seconds
+from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -79,7 +80,8 @@ def test_a_summary_holds_the_numbers_of_the_archive(small_run, tmp_path):
     grid = kept.objectives
     assert grid.shape == (25,) and np.isfinite(grid).sum() == len(columns["index"])
     assert np.nansum(grid) == pytest.approx(kept.last.qd_score, rel=1e-5)
-    assert not list((tmp_path / "kept").glob("*.npz"))  # no weights
+    kept = RunDirectory.open(tmp_path / "kept").archive.columns["solution"]
+    np.testing.assert_array_equal(kept, columns["solution"])  # fewer than `BEST`
 
 
 def test_a_run_is_made_once_and_goes_on_where_it_was_left(folders, monkeypatch):
@@ -179,6 +181,9 @@ def test_the_command_draws_lists_and_refuses(folders, capsys, tmp_path):
     said = capsys.readouterr().out.splitlines()
     assert any(line.startswith("run warehouse-even-map-elites: about ") for line in said)
     assert not any(line.startswith("run warehouse-even:") for line in said)
+    command.main((), **where, missing="table_4", seeds=3)
+    said = capsys.readouterr().out
+    assert "run warehouse-even-seed2: about " in said and "warehouse-even-seed3" not in said
     with pytest.raises(InputError, match="nothing is saved to draw from"):
         command.main(("figure_14",), **where)
     with pytest.raises(InputError, match=r"unknown experiment.*figure_99"):
