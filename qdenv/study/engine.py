@@ -55,10 +55,10 @@ def run_seeds(
     layout, costs = Floor.of(floor)
     count = config.agents if agents is None else agents
     tasks = fleet_tasks(layout, tasks, count)
-    begin, known = time.process_time(), _compile.cache_info().misses
+    begin, known = time.process_time(), _program.cache_info().misses
     settings = tasks, config, layout.shape, read is not None, costs is not None
-    prepare, run, on_host = _compile(*settings)
-    new = _compile.cache_info().misses > known
+    prepare, run, on_host = _program(*settings)
+    new = _program.cache_info().misses > known
     if new:
         progress("compiling the simulator", -1, "")
     world = prepare(layout, *([] if costs is None else [costs]))
@@ -103,7 +103,7 @@ def run_seeds(
 
 # A study of several sizes and capacities compiles each program once.
 @functools.lru_cache(maxsize=32)
-def _compile(
+def _program(
     tasks: TaskRule, config: fleet.FleetConfig, shape: tuple[int, int], record: bool, priced: bool
 ) -> tuple[Callable, Callable, bool]:
     """Compile the simulation of layouts of one size; `priced`: moves have fixed costs.
