@@ -185,8 +185,8 @@ def _imports(path: Path) -> tuple[str, ...]:
 
 
 def _forget_old(home: Path) -> None:
-    """Remove all folders but the last used ones; other processes may be doing the same."""
+    """Remove our folders but the last used ones; other processes may be doing the same."""
     with contextlib.suppress(OSError):
-        by_age = sorted(home.iterdir(), key=lambda folder: folder.stat().st_mtime)
+        by_age = sorted(home.glob("[0-9a-f]" * 16), key=lambda folder: folder.stat().st_mtime)
         for folder in by_age[:-MAX_FOLDERS]:
             shutil.rmtree(folder, ignore_errors=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from qdenv.io.records import read_json
-from qdenv.types import look_up
+from qdenv.types import InputError, look_up
 
 PREFIX = "zoo:"
 HOME = Path(__file__).parent / "zoo"
@@ -142,6 +142,13 @@ def find(place: str | Path) -> Shipped | None:
     if folder.parent != Path(os.path.realpath(HOME)) or folder.name not in names():
         return None
     return named(folder.name)
+
+
+def refuse_inside(path: Path) -> None:
+    """Raise InputError if a file or folder to be written lies in the zoo; links are followed."""
+    place = Path(os.path.realpath(path))
+    if Path(os.path.realpath(HOME)) in (place, *place.parents):
+        raise InputError(f"{path}: this folder ships with qdenv: name one of your own")
 
 
 def file_name(run_dir: Path) -> str:

@@ -18,6 +18,7 @@ from qdenv.cli.main import run
 from qdenv.interrupt import discard_unfinished
 from qdenv.io.files import reserve, tidy, write_json
 from qdenv.ops.output import AUTO, PICTURES, Place, format_table, place
+from qdenv.shipped import HOME
 from qdenv.types import InputError
 
 
@@ -102,6 +103,8 @@ def test_a_picture_lies_beside_its_data(folder):
         ("folder", (), "that is a folder: name a file in it, like folder/plan.json"),
         ("read.json", (), "that is what is read"),
         ("link.json", (), "that is what is read"),
+        ("read.json/plan.json", (), "read.json is a file"),
+        (HOME / "maze-walls" / "metrics.csv", (".csv",), "ships with qdenv"),
     ],
 )
 def test_names_that_would_lose_something_are_refused(folder, out, endings, said):

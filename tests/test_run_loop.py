@@ -17,6 +17,7 @@ from fleet_runs import StandConfig
 from qdenv.agent.settings import TrainConfig
 from qdenv.domains.base import DOMAINS
 from qdenv.domains.warehouse import WarehouseConfig
+from qdenv.io.files import LOCK
 from qdenv.ops.networks import train_agent
 from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.registry import Entry
@@ -145,7 +146,7 @@ def test_killed_run_resumes_to_the_same_bits(where, finished, tmp_path):
         file.write_text("theirs")
     resumed = loop.resume(path, progress=False)
     assert toy.same(resumed.archive.columns, finished.archive.columns)
-    assert {file for file in path.rglob(".*") if file.name != ".lock"} == theirs
+    assert {file for file in path.rglob(".*") if file.name != LOCK} == theirs
 
 
 def test_metrics_have_the_promised_columns_and_grow(finished):

@@ -23,6 +23,8 @@ from qdenv.types import DamagedError, InputError
 # Prefix of the names under which `write_atomically` writes. It is ours alone: `sweep` deletes by
 # it, and a user's hidden files must never match.
 TEMPORARY_PREFIX = ".qdenv-tmp-"
+# Ours alone, too: old versions of the library of the lock empty the file.
+LOCK = ".qdenv-lock"
 # What runs of all kinds are made of; each has one of the first two.
 RUN_FILES = (
     *("config.json", "checkpoint.npz", "manifest.json", "metrics.csv", "notes.csv", "start.npz"),
@@ -113,6 +115,8 @@ def check_writable(path: Path) -> None:
     if path.exists() and not path.is_file():
         return  # a device or a pipe
     folder = next(one for one in path.absolute().parents if one.exists())
+    if not folder.is_dir():
+        raise InputError(f"{path}: cannot be written ({folder} is a file): choose another place")
     for place in (folder, path) if path.exists() else (folder,):
         if not os.access(place, os.W_OK):
             raise InputError(
@@ -158,7 +162,7 @@ def locked(folder: Path) -> Iterator[None]:
     # Here: it imports asyncio, a good part of what `check` takes altogether.
     import filelock
 
-    lock = filelock.FileLock(folder / ".lock", blocking=False)
+    lock = filelock.FileLock(folder / LOCK, blocking=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         refuse_links(folder)
@@ -171,8 +175,8 @@ def locked(folder: Path) -> Iterator[None]:
         reason = error.strerror or error
         raise InputError(f"{folder}: cannot be written to ({reason})") from error
     try:
-        for place in (folder, *folder.glob("*/")):
-            sweep(place)
+        for name in (".", "checkpoints", "agents"):  # other folders may be runs at work
+            sweep(folder / name)
         yield
     finally:
         lock.release()
@@ -182,7 +186,7 @@ def refuse_links(folder: Path) -> None:
     """Raise InputError if a file of a run is a link to a file that would be written."""
     for path in (*folder.glob("*"), *folder.glob("*/*")):
         if path.is_symlink():
-            raise InputError(f"{path}: is a link, and would be written through: delete it first")
+            raise InputError(f"{path}: is a link, and would be written through: move it away first")
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -16,6 +16,7 @@ from qdenv.io.facts import write_facts
 from qdenv.io.files import check_writable, find_stream, reserve
 from qdenv.io.formats import need_library
 from qdenv.io.layouts import write_layout
+from qdenv.shipped import refuse_inside
 from qdenv.study.plans import is_plain
 from qdenv.types import InputError
 
@@ -95,6 +96,7 @@ def place(
         raise InputError(f"{path}: that is what is read: choose another name")
     if find_stream(path) is not None:  # what is behind it is not replaced
         return Place(path, False)
+    refuse_inside(path)
     check_writable(path)
     return Place(path, path.is_file())
 
@@ -110,10 +112,12 @@ def place_table(
 
 
 def place_folder(out: str | Path, default: str) -> Path:
-    """Choose the folder of several results; raise InputError if it is a file."""
+    """Choose the folder of several results; raise InputError if it is a file, or read-only."""
     folder = reserve(Path(default), folder=True) if Path(out) == AUTO else Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: that is a file: name a folder")
+    refuse_inside(folder)
+    check_writable(folder / default)
     return folder
 
 

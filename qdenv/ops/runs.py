@@ -285,6 +285,7 @@ def export(
     """
     opened, written = args.open_run(run), []
     archive = opened.archive
+    layouts = None if layouts is None else place_folder(layouts, "layouts")
     if table := place(out, f"{file_name(Path(str(run)))}_elites.csv", (".csv", ".parquet")):
         archive.write_table(table.path, solutions)
         say(f"{table}: {len(archive)} elites")

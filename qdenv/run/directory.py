@@ -8,7 +8,7 @@ RUN/notes.csv               one row per iteration of the algorithm's own numbers
 RUN/checkpoints/NUMBER.npz  the search after that iteration
 RUN/archive.npz             one row per filled cell of the result archive
 RUN/best_layout.json, archive.png, progress.png, notes.png, best_layout.png
-RUN/.lock                   held by the process that writes here
+RUN/.qdenv-lock             held by the process that writes here
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import contextlib
 import html
 import logging
 import math
-import os
 import platform
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
@@ -39,7 +38,7 @@ from qdenv.lazy import jax
 from qdenv.run.archive import ArchiveSchema, Elite, SavedArchive
 from qdenv.run.config import RunConfig, config_from_json, config_to_json
 from qdenv.search.axes import check_measures
-from qdenv.shipped import HOME, USUAL, Shipped, find
+from qdenv.shipped import HOME, USUAL, Shipped, find, refuse_inside
 from qdenv.types import InputError, Measure
 
 _SCHEMA = 2  # of run directories; 1 was never released
@@ -155,9 +154,7 @@ class RunDirectory:
         if shipped := self.shipped or find(self.path):
             train = f"`qdenv train {shipped.collection.origin.run}` makes a run of your own"
             raise InputError(f"{shipped}: ships with qdenv and stays as it is: {train}")
-        folder = Path(os.path.realpath(self.path))
-        if Path(os.path.realpath(HOME)) in (folder, *folder.parents):
-            raise InputError(f"{self.path}: this folder ships with qdenv: name one of your own")
+        refuse_inside(self.path)
 
     def demand_new(self) -> None:
         """Raise InputError if a new run would replace anything here, or the zoo is here."""

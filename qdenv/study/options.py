@@ -96,8 +96,9 @@ def keep_from(
     # Drawings first: they would free what others keep.
     for part in sorted(parts, key=lambda part: not isinstance(part, Path)):
         if isinstance(part, Path):
+            drawing = read_drawing(part).rows
             with about(str(part)):
-                cells = _read_cells(part, domain, symbols)
+                cells = _read_cells(drawing, domain, symbols)
             continue
         if symbols is None:
             raise InputError(f"keep {part}: there is no plan here to keep it of: give --plan FILE")
@@ -133,7 +134,7 @@ def _split(keep: Keep, domain: Domain, folder: Path) -> Iterator[str | Path]:
                 )
 
 
-def _read_cells(path: Path, domain: Domain, symbols: np.ndarray | None) -> np.ndarray:
+def _read_cells(rows: Sequence[str], domain: Domain, symbols: np.ndarray | None) -> np.ndarray:
     """Read a drawing of what must stay: a tile or `FREE` for each cell ([H, W])."""
     # Blanks are no second symbol of floor in such a drawing; they may be the outside.
     known: dict[str, Any] = aliases(domain.tiles, domain.meanings)
@@ -142,7 +143,6 @@ def _read_cells(path: Path, domain: Domain, symbols: np.ndarray | None) -> np.nd
         for one, tile in known.items()
         if one not in FREE + SAME and not {one, tile} <= set(BLANKS)
     }
-    rows = read_drawing(path).rows
     if " " in own:
         rows = [row.ljust(domain.shape[1]) for row in rows]
     rows = [row.translate(str.maketrans(own)) for row in rows]

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, Literal
 from unittest import mock
 
+from qdenv.io.files import LOCK  # the system frees it when a process dies
+
 Kind = Literal["death", "full disk", "failure"]
 NEVER = 2**62
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
-LOCK = ".lock"  # the system frees it when a process dies
 
 
 class DeathError(BaseException):

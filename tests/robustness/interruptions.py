@@ -24,6 +24,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import qdenv
 from qdenv.domains.maze import MazeConfig
+from qdenv.io.files import LOCK
 from qdenv.run import loop
 from qdenv.search.settings import CmaMaeConfig
 from robustness.campaign import Attack, Attempt
@@ -73,7 +74,7 @@ def contents(run: Path) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     for path in sorted(run.rglob("*")):
         name = path.relative_to(run).as_posix()
-        if not path.is_file() or name == ".lock":
+        if not path.is_file() or name == LOCK:
             continue
         if re.fullmatch(r"checkpoints/[0-9]{6}\.npz", name):
             files["the newest checkpoint"] = path.name.encode() + path.read_bytes()
