@@ -70,14 +70,14 @@ def test_standard_output_by_its_name_is_a_stream(folder):
     Path("p.txt").write_text("\n".join(ROWS))
     Path("log").write_text("old\n")
     Path("link").symlink_to("/dev/stdout")
-    for name in ("/dev/stdout", "link"):
+    for name in ("/proc/thread-self/fd/1", "/dev/stdout", "link"):
         command = [sys.executable, "-m", "qdenv", "check", "p.txt", "--json", name]
         with open("log", "a") as log:
             assert subprocess.run(command, stdout=log).returncode == 0
     lines = Path("log").read_text().splitlines()
     assert lines[0] == "old" and Path("link").is_symlink()
-    assert [line.partition(":")[0] for line in lines if "obeys" in line] == ["p.txt"] * 2
-    assert sum('"valid": true' in line for line in lines) == 2
+    assert [line.partition(":")[0] for line in lines if "obeys" in line] == ["p.txt"] * 3
+    assert sum('"valid": true' in line for line in lines) == 3
     assert lines[-1] == "link"  # "replaced" it is not
 
 

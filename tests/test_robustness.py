@@ -86,6 +86,21 @@ def test_a_broken_promise_ends_with_code_1_and_the_line_that_repeats_it(capsys):
 def test_an_unknown_attack_is_refused():
     with pytest.raises(qdenv.InputError, match="no attack 'knives': choose from dice, calm"):
         campaign.run(only=("knives",))
+    with pytest.raises(qdenv.InputError, match="calm has no kind 'x': none"):
+        campaign.run(only=("calm:x",))
+
+
+def test_an_attack_is_held_to_one_kind(monkeypatch, capsys):
+    def draw(rng, folder, kind="any"):
+        return Attempt(1, [kind])
+
+    monkeypatch.setattr(
+        campaign, "all_attacks", lambda: [DICE._replace(attempt=draw, kinds=("a b",))]
+    )
+    with pytest.raises(SystemExit):
+        campaign.run(minutes=0, seed=1, only=("dice:a b",))
+    fault, again, _ = capsys.readouterr().out.splitlines()[1:]
+    assert fault == "FAULT a b" and "--only 'dice:a b' --seed 1 " in again
 
 
 def test_the_same_seed_makes_the_same_attempt_again():

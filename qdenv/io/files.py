@@ -8,6 +8,7 @@ import io
 import itertools
 import json
 import os
+import re
 import stat
 import sys
 import tempfile
@@ -102,7 +103,7 @@ def find_stream(path: Path) -> int | None:
     """
     for _ in range(9):  # links to links
         folder = os.path.realpath(path.parent)
-        if folder in ("/dev/fd", f"/proc/{os.getpid()}/fd"):
+        if re.fullmatch(rf"/dev/fd|/proc/{os.getpid()}(/task/\d+)?/fd", folder):
             return int(path.name) if path.name.isdecimal() else None
         if not path.is_symlink():
             break

@@ -1,6 +1,8 @@
 """The campaign: attempts to break promises with random seeds, each of which can be repeated."""
 
+import functools
 import importlib
+import shlex
 import sys
 import tempfile
 import time
@@ -31,7 +33,8 @@ class Attack(NamedTuple):
     unit: str  # of its trials, in plural
     # (random generator, an empty folder) -> outcome. Everything random comes from the generator,
     # so the seed of an attempt repeats it.
-    attempt: Callable[[np.random.Generator, Path], Attempt]
+    attempt: Callable[..., Attempt]
+    kinds: Sequence[str] = ()  # that `attempt` can be held to, by its argument `kind`
 
 
 # Module -> names of its attacks.
@@ -66,14 +69,20 @@ def run(
     Args:
         minutes: duration of all attacks together; each makes at least one attempt.
         seed: of the whole campaign; a new one unless given.
-        only: the names of some attacks.
+        only: the names of some attacks; a kind of its attempts may follow: "edges:side by side".
         first: number of the first attempt of each.
         json: file of the counts.
     """
     attacks = {attack.name: attack for attack in all_attacks()}
     for name in only:
-        if name not in attacks:
-            raise InputError(f"there is no attack {name!r}: choose from {', '.join(attacks)}")
+        base, _, kind = name.partition(":")
+        if base not in attacks:
+            raise InputError(f"there is no attack {base!r}: choose from {', '.join(attacks)}")
+        attack = attacks[base]
+        if kind and kind not in attack.kinds:
+            raise InputError(f"{base} has no kind {kind!r}: {', '.join(attack.kinds) or 'none'}")
+        held = functools.partial(attack.attempt, kind=kind)
+        attacks[name] = attack._replace(name=name, attempt=held) if kind else attack
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     rows = [new_row(attacks[name]) for name in only or attacks]
     print(f"seed {seed}: {', '.join(row['attack'] for row in rows)}", flush=True)
@@ -118,5 +127,5 @@ def attack_once(attack: Attack, row: dict[str, Any], seed: int, number: int) -> 
     row["notes"].update(attempt.notes)
     for fault in attempt.faults:
         row["faults"].append({"attempt": number, "fault": fault})
-        again = f"--only {attack.name} --seed {seed} --first {number} --minutes 0"
+        again = f"--only {shlex.quote(attack.name)} --seed {seed} --first {number} --minutes 0"
         print(f"FAULT {fault}\n  again: python tests/robustness {again}", flush=True)

@@ -234,16 +234,16 @@ KINDS: dict[str, tuple[Kind, int]] = {
 }
 
 
-def attempt(rng: Rng, folder: Path) -> Attempt:
-    """Try a few edges, each in a folder of its own."""
-    drawn = [one for one, (_, often) in KINDS.items() for _ in range(often)]
+def attempt(rng: Rng, folder: Path, kind: str = "") -> Attempt:
+    """Try a few edges of all kinds, or of one, each in a folder of its own."""
+    drawn = [kind] if kind else [one for one, (_, often) in KINDS.items() for _ in range(often)]
     kinds, faults = Counter[str](), []
     for number in range(4):
         place = folder / str(number)
         place.mkdir()
-        kind = pick(rng, drawn)
-        kinds[kind] += 1
-        faults += [f"{kind}: {fault!a}" for fault in KINDS[kind][0](rng, place)]
+        one = pick(rng, drawn)
+        kinds[one] += 1
+        faults += [f"{one}: {fault!a}" for fault in KINDS[one][0](rng, place)]
     return Attempt(sum(kinds.values()), faults, kinds)
 
 
@@ -252,4 +252,5 @@ EDGES = Attack(
     "what the system refuses is one line, no result is lost, no name is anything but text",
     "edges",
     attempt,
+    tuple(KINDS),
 )

@@ -102,12 +102,12 @@ def draw_costs(rng: np.random.Generator, layout: np.ndarray, tasks: TaskRule) ->
             one_way /= 2
 
 
-def attempt(rng: np.random.Generator, folder: Path) -> Attempt:
-    """Simulate fleets of one planner on one floor and audit every step."""
-    rule = str(rng.choice(RULES))
+def attempt(rng: np.random.Generator, folder: Path, kind: str = "") -> Attempt:
+    """Simulate fleets of one planner on one floor, of a rule if it is given; audit every step."""
+    rule = kind or str(rng.choice(RULES))
     layout, name = draw_layout(rng, rule), str(rng.choice(list(PLANNERS)))
     tasks, planning = tasks_of(rule), PLANNERS[name]
-    kind, floor = draw_costs(rng, layout, tasks)
+    costs, floor = draw_costs(rng, layout, tasks)
     free = int(np.isin(layout, [tasks.tiles.index(tile) for tile in tasks.traversable]).sum())
     least, most = DENSITY
     agents = int(np.clip(round((least + (most - least) * rng.random() ** 2) * free), 1, AGENTS))
@@ -131,7 +131,7 @@ def attempt(rng: np.random.Generator, folder: Path) -> Attempt:
     if stats.chi2.sf(chi_square, freedom) < IMPROBABLE:
         faults.append(f"{rule}, {name}: goals with chi-square {chi_square:.0f} of {freedom}")
     notes = {"runs": RUNS * len(contents), "runs in both backends": RUNS * in_xla, name: RUNS}
-    notes |= {f"steps in {rule} without jams": flowing, f"steps with {kind} costs": steps}
+    notes |= {f"steps in {rule} without jams": flowing, f"steps with {costs} costs": steps}
     if freedom:
         notes |= {"goals": sum(len(cells) for cells in draws)}
         notes |= {"chi-square": round(chi_square), "degrees of freedom": freedom}
@@ -211,4 +211,5 @@ AUDITS = Attack(
     "no run breaks a rule of movement or service; goals have their odds; both backends agree",
     "agent-steps",
     attempt,
+    RULES,
 )
