@@ -20,7 +20,7 @@ from qdenv.run.executors import ClusterExecutor, Execution, WrongWorkerError, ve
 from qdenv.run.experiment import make_experiment
 from qdenv.types import InputError, RepairStatus
 
-distributed = pytest.importorskip("distributed")
+dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
 # Dask's own clean-up of sockets and threads at the end of a cluster is not ours to judge.
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 
@@ -39,14 +39,17 @@ def whole(tmp_path_factory):
 @pytest.fixture(scope="module")
 def local():
     """A cluster of two worker processes."""
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, memory_limit=0, dashboard_address=None
-    ) as cluster:
+    with (
+        dask.config.set(executors.SETTINGS),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, memory_limit=0, dashboard_address=None
+        ) as cluster,
+    ):
         yield cluster
 
 
 def wait_for_both(client, local) -> None:
-    """Wait for both workers; a nanny gives one up that is killed while it starts."""
+    """Wait for both workers, of which a test may have retired one."""
     try:
         client.wait_for_workers(2, timeout=6)
     except TimeoutError:
@@ -186,6 +189,14 @@ def test_without_its_scheduler_an_executor_fails_instead_of_waiting_for_ever(loc
     interrupt.advise("`qdenv resume run` goes on")
     with pytest.raises(InputError, match="scheduler is gone; `qdenv resume run` goes on"):
         executor.submit(pow, 2, 5).result(timeout=60)
+
+
+def test_a_worker_that_dies_is_started_again_however_long_that_takes():
+    given_up_at_once = {"distributed.deploy.lost-worker-timeout": "1ms"}
+    with dask.config.set(given_up_at_once), Execution("dask", workers=1).connect() as client:
+        (pid,) = client.run(os.getpid).values()
+        os.kill(pid, signal.SIGKILL)
+        assert client.submit(os.getpid, pure=False, retries=9).result(timeout=60) != pid
 
 
 def test_a_cluster_of_ones_own_obeys_nobody_else():

@@ -223,6 +223,7 @@ def test_centroids_lie_in_their_own_cells_row_major():
     ("measures", "rates", "message"),
     [
         ((), (), "at least one measure"),
+        ((Measure("x", 0, 1, 2**60),) * 300, (), "300 measures: give 16 at most"),
         ((Measure("x", 1, 1, 4),), (), "'x'"),
         ((Measure("x", 0, np.nan, 4),), (), "'x'"),
         ((Measure("x", 0, 1, 0),), (), "one cell"),

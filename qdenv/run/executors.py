@@ -46,6 +46,13 @@ _MAX_DEATHS = 10
 # Seconds without any answer, or _SLOW times what a task takes, until copies are sent to others.
 PATIENCE = 30.0
 _SLOW = 5.0
+SETTINGS = {
+    # Workers would sample a hundred times a second what they do, for a dashboard that nobody sees.
+    "distributed.worker.profile.enabled": False,
+    # A cluster here gives a worker up, for ever, that is not back when this time after its death is
+    # over. On a busy machine the nanny takes longer to start another: the search would never end.
+    "distributed.deploy.lost-worker-timeout": "1 day",
+}
 REMEMBERED = 100  # tasks whose duration is remembered
 _TICK = 0.5  # seconds between two looks for overdue tasks
 
@@ -82,9 +89,7 @@ class Execution(Ranged):
         from distributed import Client, LocalCluster
 
         with contextlib.ExitStack() as stack:
-            # Workers would sample a hundred times a second what they do, for a dashboard that
-            # nobody sees.
-            stack.enter_context(dask.config.set({"distributed.worker.profile.enabled": False}))
+            stack.enter_context(dask.config.set(SETTINGS))
             # A client logs that it loses its scheduler; the line that ends the search says so.
             logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
             place = cluster = self.scheduler

@@ -11,6 +11,7 @@ import numpy as np
 from qdenv.types import InputError, Measure
 
 _MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all
+_MOST_AXES = 16  # numpy has 32, and the number of cells must be printable
 _EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
 
 
@@ -30,6 +31,8 @@ def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
                 f"axis {axis.name!r}: {axis.low:g} to {axis.high:g} in {axis.cells} cells is "
                 "empty: give LOW < HIGH and at least one cell"
             )
+    if len(axes) > _MOST_AXES:
+        raise InputError(f"an archive of {len(axes)} measures: give {_MOST_AXES} at most")
     if (cells := math.prod(axis.cells for axis in axes)) > _MOST_CELLS:
         raise InputError(f"an archive of {cells:,} cells: give {_MOST_CELLS:,} at most")
     return axes
