@@ -6,9 +6,13 @@ Python API and the commands are written here, from the operations themselves.
 
 import contextlib
 import importlib.metadata
+import inspect
 import io
 import logging
 import os
+import pkgutil
+import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +34,7 @@ myst_heading_anchors = 3
 suppress_warnings = ["myst.xref_missing"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
+smartquotes_action = "qe"  # two hyphens begin an option
 napoleon_google_docstring = True
 
 
@@ -41,8 +46,43 @@ document.head.append(library);
 """
 
 
+# What public functions take and return: documented with them.
+RECORDS = {
+    "ops.options": ["RunOptions", "FleetOptions", "StudyOptions", "GuideOptions", "ImproveOptions"],
+    "ops.output": ["Result", "Table"],
+    "study.table": ["Row"],
+    "ops.improve": ["Improvement"],
+    "view.page": ["Page"],
+    "run.archive": ["SavedArchive", "Elite"],
+    "run.experiment": ["Experiment"],
+    "pipeline": ["Pipeline"],
+    "types": ["Evaluation"],
+    "repairs.audit": ["Violation"],
+    "registry": ["Registry"],
+    "simulation.mapf.environment": ["Environment", "EnvironmentState", "Observation", "Timestep"],
+}
+
+
+def comments_of(record: type) -> dict[str, str]:
+    """Return what the comments behind the fields of a class, or above them, say of each."""
+    from sphinx.pycode import ModuleAnalyzer
+
+    source = inspect.getsource(sys.modules[record.__module__])
+    # What Sphinx takes for documentation.
+    source = re.sub(r"^( +(?:[^#\n]*  )?)# ", r"\1#: ", source, flags=re.MULTILINE)
+    found = ModuleAnalyzer.for_string(source, record.__module__).find_attr_docs()
+    return {name: " ".join(text) for (home, name), text in found.items() if home == record.__name__}
+
+
+def explain_fields(app: Any, what: str, name: str, member: Any, options: Any, lines: Any) -> None:
+    """Add the fields of a record to its documentation."""
+    if what == "class":
+        lines += [f":param {field}: {text}" for field, text in comments_of(member).items()]
+        lines += [""]
+
+
 def write_python() -> str:
-    """List the public names by the module that is their home."""
+    """List the public names, and records that they take and return, by their home modules."""
     import qdenv
     import qdenv.registry
 
@@ -51,14 +91,28 @@ def write_python() -> str:
         if line.startswith("from ."):
             home, name = line.removeprefix("from .").split(" import ")
             homes.setdefault(home, []).append(name.split(" as ")[0])
-    text = ["# Python", "", "Every name below is in `qdenv` itself: `qdenv.simulate`.", ""]
-    for home, names in homes.items():
-        text += [f"## qdenv.{home}", ""]
+    text = [
+        "# Python",
+        "",
+        "The names of the first part are in `qdenv` itself: `qdenv.simulate`. Letters in shapes: B "
+        "layouts, S simulations, H rows, W columns, K kinds of tile, P parameters of a generator, "
+        "A agents, T timesteps, M measures, C cells of an archive. A cell is row * W + column.",
+        "",
+    ]
+    parts = {f"qdenv.{home}": (home, names) for home, names in homes.items()}
+    parts |= {f"Records of qdenv.{home}": (home, names) for home, names in RECORDS.items()}
+    for title, (home, names) in parts.items():
+        text += [f"## {title}", ""]
         for name in names:
-            member = getattr(qdenv, name)
+            member = pkgutil.resolve_name(f"qdenv.{home}:{name}")
             if isinstance(member, type) or callable(member):
-                kind = "class" if isinstance(member, type) else "function"
-                text += ["```{eval-rst}", f".. auto{kind}:: qdenv.{home}.{name}", "```", ""]
+                is_class = isinstance(member, type)
+                kind = "class" if is_class else "function"
+                text += ["```{eval-rst}", f".. auto{kind}:: qdenv.{home}.{name}"]
+                if is_class:  # fields are explained as parameters
+                    fields = ", ".join(comments_of(member))
+                    text += ["   :members:", f"   :exclude-members: {fields}"]
+                text += ["```", ""]
             else:
                 known = member.names() if isinstance(member, qdenv.registry.Registry) else member
                 text += [f"`{name}`: {', '.join(known)}", ""]
@@ -102,7 +156,7 @@ def write_live(app: Any, exception: Exception | None) -> None:
     folder.mkdir(exist_ok=True)
     for domain in names():
         best = qdenv.RunDirectory.open(f"zoo:{domain}/best")
-        page = qdenv.explore(f"zoo:{domain}", growth=0).html
+        page = qdenv.explore(f"zoo:{domain}").html
         # The library that draws is most of a page: here a script puts it there, which all share.
         begin, _, rest = page.partition(PACKED)
         library, _, rest = rest.partition("</script>")
@@ -110,10 +164,13 @@ def write_live(app: Any, exception: Exception | None) -> None:
         page = f'{begin}<script src="library.js"></script>{rest}'
         (folder / f"{domain}-archive.html").write_text(page)
         layout = qdenv.Layout(best.best.layout, qdenv.make_domain(best.config.evaluation.domain))
-        qdenv.replay(layout, timesteps=200).save(folder / f"{domain}-best.html")
+        plan = qdenv.read_plan(layout)._replace(name=f"{domain}: the best of the zoo")
+        qdenv.replay(plan, timesteps=200).save(folder / f"{domain}-best.html")
 
 
 def setup(app: Any) -> None:
     """Write the reference before the pages are read, and the live pages at the end."""
+    logging.getLogger("jax").setLevel("WARNING")  # it tells which devices there are not
     app.connect("builder-inited", write_reference)
+    app.connect("autodoc-process-docstring", explain_fields)
     app.connect("build-finished", write_live)

@@ -106,5 +106,5 @@ PRESETS |= {
 
 
 def find_preset(name: str) -> RunConfig:
-    """Look a preset up by name, or raise InputError."""
+    """Return the preset called `name`, or raise InputError if there is none."""
     return look_up(PRESETS, name, "preset")

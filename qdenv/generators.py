@@ -60,9 +60,9 @@ Base: TypeAlias = Literal["none", "crisscross"]
 
 @dataclass(frozen=True)
 class NcaConfig(Ranged):
-    """The numbers of a neural cellular automaton."""
+    """The numbers of a neural cellular automaton (appendix C.1.1 of the paper)."""
 
-    steps: PositiveInt = 50  # how often the drawing grows, the NCA steps C
+    steps: PositiveInt = 50  # steps of growth of a drawing, C in the paper
     kernel_sizes: tuple[int, ...] = (3, 3, 3)  # widths of the kernels of its convolutions, in cells
     hidden: PositiveInt = 32  # channels of its hidden layers
     # "exact" draws the same plan on every machine and version: its sums never round (`nca`);

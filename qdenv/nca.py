@@ -168,7 +168,7 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
     if rows < height or cols < width:
         raise InputError(
             f"a canvas of {rows} x {cols} is smaller than the seed block of {height} x {width}: "
-            "ask for a bigger layout"
+            "give a larger size"
         )
     canvas = np.zeros((rows, cols), np.int8)
     top, left = (rows - height) // 2, (cols - width) // 2

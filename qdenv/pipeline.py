@@ -44,9 +44,14 @@ class Pipeline(NamedTuple):
 
 
 def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
-    """Build the chain; other repair seeds give other, equally good repairs.
+    """Build the chain from parameters to scores.
 
-    Raises InputError if the canvas is too small, or the repair rules contradict each other.
+    Args:
+        config: domain, generator, repair, and how often each layout is simulated.
+        repair_seed: other numbers give other, equally good repairs.
+
+    Raises:
+        InputError: the canvas is too small, or the repair rules contradict each other.
     """
     domain = make_domain(config.domain)
     generator = GENERATORS.make(config.generator, domain.canvas)
@@ -162,10 +167,15 @@ def score_layout(
 
 
 def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evaluation:
-    """Evaluate a population float32 [B, P]; traceable, with the repair as a host callback.
+    """Evaluate a population; traceable, with the repair as a host callback.
 
-    Consumes `key`: item ``i`` uses ``fold_in(key, i)``, so a shorter batch gives the same. The
-    result has a leading axis B.
+    Args:
+        pipeline: from `make_pipeline`.
+        parameters: float32 [B, P].
+        key: consumed; item ``i`` uses ``fold_in(key, i)``, so a shorter batch gives the same.
+
+    Returns:
+        the evaluation, with a leading axis B. A layout that fails a stage has ``success = False``.
     """
     unrepaired = _grow_layouts(pipeline.grow, parameters)
     repaired, status = unrepaired, jnp.full(len(unrepaired), RepairStatus.OPTIMAL, jnp.int32)

@@ -45,7 +45,7 @@ class Registry:
         self._entries: dict[str, Entry] = {}
 
     def register(self, name: str, entry: Entry) -> None:
-        """Add a choice, or replace the one of this name."""
+        """Add `entry` to the choices, or replace the one of this name."""
         self._entries[name] = entry
 
     def names(self) -> tuple[str, ...]:

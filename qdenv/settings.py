@@ -17,6 +17,6 @@ class EvaluationConfig(Ranged):
     domain: Any = field(default_factory=lambda: DOMAINS.config("warehouse-even"))
     # settings of a registered generator, likewise
     generator: Any = field(default_factory=lambda: GENERATORS.config("nca"))
-    simulations: PositiveInt = 5  # how often each layout is simulated, N_e
+    simulations: PositiveInt = 5  # simulations of each layout, N_e in the paper
     alpha: FiniteFloat = 5.0  # how much it counts that the repair changes little
     repair: RepairConfig = field(default_factory=RepairConfig)  # limits of the repair

@@ -108,16 +108,16 @@ class Floor(NamedTuple):
 class Count(NamedTuple):
     """Bound the number of cells that hold one of `tiles`: ``low <= count <= high``."""
 
-    tiles: str
-    low: int
-    high: int | None = None
+    tiles: str  # symbols that count
+    low: int  # the fewest cells
+    high: int | None = None  # the most cells; None for no bound
 
 
 class Adjacency(NamedTuple):
     """Demand that every cell holding one of `tiles` has a 4-neighbour holding one of `needs`."""
 
-    tiles: str
-    needs: str
+    tiles: str  # symbols that need a neighbour
+    needs: str  # symbols, any of which will do
 
 
 class Cover(NamedTuple):
@@ -148,7 +148,7 @@ class Rules(NamedTuple):
     names: Mapping[str, str] = {}  # nouns that messages call tiles by; their symbols unless given
 
     def name(self, tiles: str, many: bool = False) -> str:
-        """Name tiles in a sentence: "shelf", "floor or endpoint"; in the plural if `many`."""
+        """Name the symbols `tiles` in a sentence: "floor or endpoint"; in the plural if `many`."""
         nouns = [self.names.get(tile, repr(tile)) for tile in tiles]
         if many:
             known = {"floor": "floor", "shelf": "shelves"}
@@ -202,7 +202,7 @@ class Goal(NamedTuple):
     name: str = "goal"  # how messages call it
 
     def stays(self, layout: Array) -> Array:
-        """Return the timesteps an agent stays on each cell of a layout (int [H, W])."""
+        """Return the timesteps an agent stays on each cell of `layout` (int8 -> int [H, W])."""
         return self.stay(layout) if callable(self.stay) else np.full(layout.shape, self.stay)
 
 
@@ -268,7 +268,7 @@ class Encoding(NamedTuple):
 class Evaluation(NamedTuple):
     """Everything one evaluation produced."""
 
-    score: Score
+    score: Score  # what the search sees of it
     unrepaired: Array  # int8 [H, W]
     repaired: Array  # int8 [H, W]
     similarity: Array  # float32 in [0, 1]

@@ -86,6 +86,41 @@ def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text().split()) <= 1500
 
 
+def test_public_names_are_documented_with_parameters_shapes_and_errors():
+    pytest.importorskip("sphinx", reason="the book needs the extra docs")
+    conf = runpy.run_path(str(ROOT / "notebooks" / "conf.py"))
+    public = {name: getattr(qdenv, name) for name in qdenv.__all__}
+    for home, names in conf["RECORDS"].items():
+        public |= {name: pkgutil.resolve_name(f"qdenv.{home}:{name}") for name in names}
+    array = re.compile(r"\b(Array|ndarray)\b")
+    shape = re.compile(r"\[|\b(bool|int32|float32)[,(]")
+    functions, shared, missing = [], {}, []
+    for name, member in public.items():
+        if inspect.isfunction(member):
+            functions.append(inspect.unwrap(member))
+        if not isinstance(member, type):
+            continue
+        comments = conf["comments_of"](member)
+        if name.endswith("Options"):  # the fields of such a dictionary are also its base's
+            comments = shared = shared | comments
+        for field, kind in inspect.get_annotations(member).items():
+            said = comments.get(field, member.__doc__ if field in member.__doc__ else "")
+            is_array = array.search(str(kind)) and "Callable" not in str(kind)
+            missing += [f"{name}.{field}"] * bool(not said or (is_array and not shape.search(said)))
+        for key, one in vars(member).items():
+            one = getattr(one, "fget", None) or getattr(one, "__func__", one)
+            if key[0] != "_" and getattr(one, "__qualname__", "") == f"{name}.{key}":
+                functions.append(one)
+    for one in functions:
+        said = inspect.getdoc(one)
+        parameters = set(inspect.signature(one).parameters) - {"self", "cls"}
+        missing += [f"{one}: {name}" for name in parameters if not re.search(rf"\b{name}\b", said)]
+        unshaped = array.search(str(one.__annotations__)) and not shape.search(said)
+        silent = "raise InputError" in inspect.getsource(one) and "InputError" not in said
+        missing += [str(one)] * bool(unshaped or silent)
+    assert not missing and len(functions) > 100
+
+
 @pytest.mark.slow
 def test_the_book_builds_without_warnings_and_has_all_names(tmp_path):
     pytest.importorskip("myst_nb", reason="the book needs the extra docs")

@@ -227,6 +227,8 @@ def test_help_is_one_screen_with_an_example_that_parses(name, capsys, monkeypatc
     short, long = (set(re.findall(r"^  (--[a-z-]+)", text, re.M)) for text in shown)
     assert len(shown[0].splitlines()) <= 50 and max(map(len, shown[0].splitlines())) <= 80
     assert short - {"--help-all"} <= long and ("--help-all" in short) == (short != long)
+    entries = re.split(r"\n(?=  \S)", shown[1])[1:]
+    assert [one for one in entries if one[2] == "-" and "  " not in one.strip()] == []
     operation = pkgutil.resolve_name(cli.COMMANDS[name])
     example = example_of(inspect.getdoc(operation))
     assert f"  $ {example}\n" in shown[0] and example.startswith(f"qdenv {name}")

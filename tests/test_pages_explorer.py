@@ -245,7 +245,7 @@ def test_growth_that_is_not_in_the_page_is_named_with_the_command_that_adds_it(s
         point(page, other, click=True)
         page.wait_for_selector(f"#drawn[data-row='{other}']")
         note = page.inner_text("#growth-note")
-        assert f"1 of {elites} growths, not this one" in note
+        assert f"not in the page, which has 1 of {elites}" in note
         assert note.endswith(f"qdenv explore {small_run} --growth {elites}")
         assert page.is_hidden("#player")
         page.set_viewport_size({"width": 420, "height": 860})  # a phone

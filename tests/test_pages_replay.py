@@ -185,7 +185,7 @@ def test_a_click_on_a_robot_follows_it_and_its_number_does(busy, shown):
     shown.fill("#robot", "12")
     assert shown.inner_text("#doing").startswith("Robot 12, ")
     shown.click("#nobody")
-    assert shown.inner_text("#doing").startswith("Nobody is followed")
+    assert shown.inner_text("#doing").startswith("No robot is followed")
     assert pixels(shown, "robots") == plain
 
 
@@ -272,7 +272,7 @@ def test_the_view_can_be_enlarged_moved_and_fitted(shown):
     shown.mouse.move(box["x"] + 200, box["y"] + 240)
     shown.mouse.up()
     assert len({whole, near, pixels(shown, "ground")}) == 3
-    assert shown.inner_text("#doing").startswith("Nobody is followed")  # a drag is no click
+    assert shown.inner_text("#doing").startswith("No robot is followed")  # a drag is no click
     shown.keyboard.press("0")
     assert pixels(shown, "ground") == whole
 

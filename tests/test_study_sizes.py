@@ -330,7 +330,7 @@ def test_baselines_refuse_in_one_line(tmp_path, capsys):
     write_layout(factory, MANUFACTURING.resized(9, 9).human(), MANUFACTURING.tiles)
     command = ["layout", "tile", str(factory), "--domain", "warehouse-even", *size]
     assert "unknown tile" in refusal(command, capsys)
-    with pytest.raises(InputError, match="nobody designs layouts"):
+    with pytest.raises(InputError, match="no hand-made design"):
         sizes.human_layout(replace(WAREHOUSE, human=None))
     small = WAREHOUSE.resized(9, 9).human()
     with pytest.raises(InputError, match="no room inside the frame"):

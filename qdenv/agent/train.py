@@ -59,7 +59,7 @@ def start(config: TrainConfig) -> State:
     if config.warm_start:
         loaded = load_weights(config.warm_start)
         if any(a.shape != b.shape for a, b in zip(loaded, weights, strict=True)):
-            raise InputError(f"{config.warm_start} has other units or actions than asked for")
+            raise InputError(f"{config.warm_start} has other units or actions than configured")
         weights = Weights(*map(jnp.asarray, loaded))
     buffer, lanes = _new_buffer(keys[1], config.bank, config.levels), config.ppo.lanes
     slot = jax.random.randint(keys[2], (lanes,), 0, config.bank)

@@ -23,7 +23,9 @@ _SEARCHED = re.compile(
     "|start)"
 )
 # What tyro adds to help and says nothing: there is no default, or the text names it.
-_NOTHING = re.compile(r"\.? *\((?:required|default: (?:None|\[\])?)\)|\.(?= \(default)|\.$")
+_NOTHING = re.compile(
+    r"\.? *\((?:required|default: (?:None|\[\]|\(\)|'')?)\)|\.(?= \(default)|\.$|(?<=`)`|`(?=`)"
+)
 
 
 def example_of(about: str) -> str:
@@ -69,10 +71,10 @@ def _compact(text: str, example: str, everything: bool) -> str:
                 hidden += 1
                 continue
             help_text = _NOTHING.sub("", help_text).replace("['best']", "best")
-            shown.append(_fill(help_text, names))
+            shown.append(_fill(help_text, names.replace("{None}|", "").replace("{None,", "{")))
         lines += ["", *shown] if shown else []
     if hidden:
-        lines += ["", _fill(f"{hidden} more options", ALL)]
+        lines += ["", _fill(f"{hidden} more option{'s' * (hidden > 1)}", ALL)]
     return "\n".join(lines)
 
 
@@ -102,7 +104,7 @@ def _fill(text: str, names: str) -> str:
     if not names:
         return textwrap.fill(" ".join(text.split()), width)
     indent = " " * (_LEFT + 2)
-    if len(names) >= _LEFT or not text:
+    if len(names) > _LEFT - 2 or not text:
         if len(names) > width - 4:
             names = names.replace(",", ", ")
         above = textwrap.fill(names, width, initial_indent="  ", subsequent_indent="      ")

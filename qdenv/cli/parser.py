@@ -9,6 +9,7 @@ import difflib
 import functools
 import inspect
 import io
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
@@ -54,8 +55,8 @@ def parse(
         return tyro.cli(  # type: ignore[call-overload]
             target,
             prog=program,
-            # Of a docstring, what comes before its arguments.
-            description=about.partition("\n\nArgs:")[0].partition("\n\nExamples:")[0],
+            # Of a docstring, what comes before its sections.
+            description=re.split(r"\n\n(?:Args|Returns|Examples):", about)[0],
             args=given,
             config=MARKERS,
             registry=rules,
@@ -97,10 +98,15 @@ def _message(event: Any, target: Any, rules: Any) -> str:
         return f"{_name_of(event.argument)} needs a value{listed}"
     if isinstance(event, events.MissingArgs):
         missing = event.missing_arguments[0].arg
-        text = missing.field.helptext
-        about = ((text() if callable(text) else text) or "").rstrip(".")
+        about = help_of(missing.field).rstrip(".")
         return f"{_name_of(missing)} is missing: {about}{listed}"
     return ""
+
+
+def help_of(field: Any) -> str:
+    """Return the help of a field of tyro's, which may be a function that reads it in the source."""
+    text = field.helptext() if callable(field.helptext) else field.helptext
+    return text or ""
 
 
 def _name_of(argument: Any) -> str:

@@ -30,7 +30,7 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from qdenv.cli.parser import number_rules
+from qdenv.cli.parser import help_of, number_rules
 from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.ops import options as args
 from qdenv.registry import Registry
@@ -63,7 +63,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
     """
     # The parser finds the comments behind the fields of a dictionary itself, not in its base.
     helps = {
-        kind: {one.name: one.helptext for one in _spec_of(kind).fields if one.helptext}
+        kind: {one.name: text for one in _spec_of(kind).fields if (text := help_of(one))}
         for kind in vars(args).values()
         if is_typeddict(kind)
     }
@@ -235,8 +235,10 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
     many = Annotated[tuple[int, ...], arg(help_behavior_hint="(default: )")]
     number = int if get_origin(kind) is None else many
     domain = _domain_of(chosen, rest)
-    about = "exact number of tiles {!r}"
-    listed = [(name, number, about.format(tile)) for name, tile in domain.counted.items()]
+    listed = [
+        (name, number, f"exact number of {domain.names.get(tile, '')} tiles ({tile})")
+        for name, tile in domain.counted.items()
+    ]
     if number is int:  # of one layout
         listed += [one for one in _settings(domain.config) if one[0] in domain.rule_settings]
     return _options(listed)

@@ -42,7 +42,7 @@ class KnownSize(NamedTuple):
     """The numbers of a domain at a size where they do not scale with the area."""
 
     steps: int  # steps of growth of an automaton that was trained at another size, C
-    timesteps: int  # how long a simulation lasts whose numbers are reported, T
+    timesteps: int  # length of a simulation whose numbers are reported
     agents: int = 1  # how many robots drive, N_a; 1 where no fleet does
     numbers: Mapping[str, int] = {}  # exact numbers of tiles, by the settings' names
     about: str = "the paper's evaluation size"  # what kind of size it is, as commands put it
@@ -54,9 +54,8 @@ class DomainConfig(Ranged):
 
     rows: int = 33  # rows of the whole layout, frame included
     cols: int = 36  # columns of the whole layout, frame included
-    # No option of its own: a drawing comes in a file.
-    # rows of a drawing of the whole layout: a tile where a cell must hold it, ``?`` where anything
-    # may be; empty for none
+    # rows of a drawing of the whole layout, which commands read from a file: a tile where a cell
+    # must hold it, ``?`` where anything may be; empty for none
     keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
         default=(), kw_only=True
     )
@@ -67,7 +66,7 @@ class DomainConfig(Ranged):
         default=(), kw_only=True
     )
 
-    # Not a field here: domains with a fleet declare one of this name.
+    # domains with a fleet declare a field of this name
     fleet: ClassVar[FleetConfig | None] = None
 
     @property
@@ -197,7 +196,7 @@ class Domain:
 
     @property
     def details(self) -> dict[str, Any]:
-        """What a layout file states about its domain: the name, what must stay, rules and tasks."""
+        """What a layout file states about its domain, from its name to what must stay."""
         facts = self._stated(self.rule_settings)
         if spare := getattr(self.config, "spare_shelves", 0):
             facts["shelves"] = f"{self.config.shelves}:{self.config.shelves + spare}"
@@ -226,7 +225,7 @@ class Domain:
 
     @property
     def canvas(self) -> Canvas:
-        """What a generator draws on: the area inside the frame."""
+        """The area inside the frame, on which a generator draws."""
         return Canvas(*self.generated_shape, self.generated, self.seed_block, self)
 
     @property
@@ -236,13 +235,13 @@ class Domain:
         return max(rows, 0) * max(cols, 0)
 
     def limit_of(self, measure: Measure) -> float | None:
-        """Return what a measure cannot exceed in these layouts; None if nothing limits it."""
+        """Return what `measure` cannot exceed in these layouts; None if nothing limits it."""
         if measure.limit == "area":
             return max(self.area, 1)
         return getattr(self.config, measure.limit) if measure.limit else None
 
     def drivable(self, layout: np.ndarray) -> np.ndarray:
-        """Find the cells of layouts (int8 [..., H, W]) that robots may drive on (bool).
+        """Find the cells of `layout` (int8 [..., H, W]) that robots may drive on (bool, the same).
 
         Raises InputError if no fleet drives in this domain.
         """
@@ -252,7 +251,7 @@ class Domain:
         return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
 
     def mark_cells(self, layout: np.ndarray) -> dict[str, tuple[int, int]]:
-        """Find the cells (row, column) that pictures of a layout (int8 [H, W]) name."""
+        """Find the cells (row, column) that pictures of `layout` (int8 [H, W]) name."""
         marks = self.marks(layout) if self.marks else {}
         return {name: divmod(int(cell), layout.shape[1]) for name, cell in marks.items()}
 
@@ -262,7 +261,7 @@ class Domain:
         return {name: getattr(self.config, name) for name in self.counted}
 
     def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
-        """Make the same domain at another size.
+        """Make the same domain at another size, `rows` x `cols` with the frame.
 
         What the settings say of single cells stays only if the size is the same.
         Exact numbers of tiles that `numbers` leaves out are the known ones of the size, or scale
@@ -297,15 +296,15 @@ class Domain:
             raise InputError(f"{where} come from a plan: give --plan FILE")
 
     def known_size(self, rows: int, cols: int) -> KnownSize | None:
-        """Return the known numbers of another size; None if they scale from those of this one."""
+        """Return the known numbers of a size of `rows` and `cols`; None if they scale."""
         return None if (rows, cols) == self.shape else self.known.get((rows, cols))
 
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
-        """Make the same domain at the size of a layout (int8 [H, W]), with its exact numbers.
+        """Make the same domain at the size of `layout` (int8 [H, W]), with its numbers of tiles.
 
-        Cells whose tiles have no other place (`stays`) stay as this layout has them, and doors do:
-        gaps of up to four cells in a wall along the layout's edge. Unless the settings say of this
-        size already what must stay.
+        Those that `numbers` names are exactly as many instead. Cells whose tiles have no other
+        place (`stays`) stay as this layout has them, and doors do: gaps of up to four cells in a
+        wall along the layout's edge. Unless the settings say of this size already what must stay.
         """
         own = {
             name: int((layout == self.tiles.index(symbol)).sum())
@@ -386,7 +385,7 @@ def _racks_moved(domain: Domain) -> Measure:
 
 
 def find_domain(name: str) -> Domain:
-    """Make a domain with all its defaults by name, or raise InputError."""
+    """Make the domain called `name` with all its defaults, or raise InputError if there is none."""
     return make_domain(DOMAINS.config(name))
 
 

@@ -13,7 +13,15 @@ THROUGHPUT = "throughput [tasks per timestep]"
 
 
 def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
-    """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`."""
+    """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`.
+
+    Li et al. 2021, https://arxiv.org/abs/2005.07371: agents get a new goal at each goal, and plan
+    again every few timesteps.
+
+    Args:
+        tasks: where agents drive, and what they do.
+        config: numbers of agents and timesteps, and the planner.
+    """
 
     # The simulation is imported when it first runs: it loads both compilers.
     def prepare(layout: Array, costs: Array | None = None) -> Any:

@@ -43,14 +43,14 @@ class HallConfig(DomainConfig):
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    shelves: int = 240  # how many shelves there are at least
+    shelves: int = 240  # number of shelves, at least
     spare_shelves: NonNegativeInt = 0  # how many more there may be; exactly as many unless given
-    aisle: PositiveInt = 1  # cells that aisles are wide, at least
+    aisle: PositiveInt = 1  # least width of aisles in cells
     # rows and columns of the smallest rack, as 2x6, along either axis; any shape where empty
     rack: str = ""
     pick: Stay = 0  # timesteps that a robot stays at an endpoint
     drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
-    # of all tasks, by the signs of stations, as i=1,o=3; all stations are alike where empty
+    # shares of the tasks by the signs of stations, as i=1,o=3; all stations are alike where empty
     shares: str = ""
     # No option of its own: a file or zones become this map.
     # rows of numbers, one a cell: how likely an endpoint there is drawn as a goal. They belong to

@@ -57,7 +57,7 @@ class WarehouseConfig(DomainConfig):
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    shelves: int = 240  # how many shelves there are, exactly (N_s)
+    shelves: int = 240  # exact number of shelves, N_s in the paper
     # how much likelier a workstation on the left border is than one on the right
     left_odds: PositiveFloat = 1.0
 

@@ -42,17 +42,17 @@ def guide(
     execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
     **search: Unpack[args.GuideOptions],
 ) -> Table:
-    """Find costs of moves by which a fleet moves more on a floor that stands.
+    """Find costs of moves by which a fleet moves more on a floor that stays as it is.
 
     The run's folder gets the costs (guidance.json, for --guidance), a picture of them, and a table
     of the throughput before and after over numbers of agents.
 
     Args:
         layout: layout file.
-        agents: number of agents (robots); 200, or what is known of the layout's size, unless given.
+        agents: number of agents (robots); unless given that of the plan or its size, else 200.
         method: search the costs themselves, or the weights of a network that updates costs by
-            where agents drive, and that serves other floors and sizes as well.
-        model: run of the method update whose network draws the costs, without a search.
+            where agents drive and also serves other floors and sizes.
+        model: run of the method update, whose network draws the costs; nothing is searched then.
         path: folder of the run; a fresh one under runs/ unless given.
         progress: show a progress bar.
         execution: where simulations run; the result is the same everywhere.

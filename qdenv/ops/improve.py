@@ -63,19 +63,19 @@ def improve(
 ) -> Table:
     """Search a better plan than one's own: lanes, some racks moved, racks in rows, a new floor.
 
-    The folder gets a picture of what moving racks brings; for each of the four that is better by
-    its 95 % intervals at the number of robots and at a quarter more, the plan in the format it came
-    in and a picture of before and after; a report on all of them; and the searches. The same
-    command again, or `qdenv resume`, goes on where it was stopped.
+    The folder gets the four searches, a report, a picture of what moving more racks brings, and for
+    each search that found a better plan (by its 95 % intervals, at this number of robots and at a
+    quarter more) that plan and a picture of before and after. The same command, or `qdenv resume`,
+    continues where it stopped.
 
     Args:
         layout: layout file.
-        agents: number of agents; 200, or what is known of the layout's size, unless given.
+        agents: number of agents (robots); unless given that of the plan or its size, else 200.
         path: folder of the results; runs/improve-NAME-AGENTS unless given.
         progress: show a progress bar.
         execution: where the searches simulate; the result is the same everywhere.
-        keep: what must stay beside walls and stations: tiles, a rectangle of rows and columns, the
-            last not included (0:7,33:40), or the file of a drawing; several joined by +.
+        keep: what must stay in addition to walls and stations: tiles, a rectangle of rows and
+            columns, the last not included (0:7,33:40), or the file of a drawing; + joins several.
         **search: see `ImproveOptions`.
 
     Returns:

@@ -113,11 +113,11 @@ def check(
         say(f"{name}: layouts of {fitted.name} have no rules, none is broken")
     elif broken:
         if check_allowed(plan.layout, rules):
-            say("(--keep FILE allows what a drawing marks with '!' to stand where it stands)")
+            say("(what may stand there all the same: mark it with '!' in a drawing, --keep FILE)")
         count = "1 rule" if len(broken) == 1 else f"{len(broken)} rules"
-        say(f"{name}: {count} broken, {plan.whose}")
+        say(f"{name}, {plan.whose}: {count} broken")
     else:
-        say(f"{name}: obeys every rule, {plan.whose}")
+        say(f"{name}, {plan.whose}: obeys every rule")
     say(*(f"remark: {one.message}" for one in remarks))
     if picture:
         from qdenv.view.change import draw_diagnosis  # imports matplotlib
@@ -285,8 +285,11 @@ def layout_tile(
         polish: how hard to repair.
         out: layout file to write (.json, .txt, .csv), a picture is drawn beside it;
             LAYOUT_tiled.json unless given.
-        **numbers: exact numbers of tiles; unless given what is known of the size, or else scaled
+        **numbers: exact numbers of tiles; unless given those known for the size, or else scaled
             with the area.
+
+    Returns:
+        the layout, with how it was repaired among its facts.
 
     Raises:
         InputError: the size is smaller than the layout, or no such layout exists.
@@ -361,6 +364,9 @@ def make_environment(
         domain: whose tasks they do.
         observe: traceable function of the state; positions, goals and services unless given.
         auto_reset: the step that ends a run begins the next one on the same layout.
+
+    Returns:
+        the environment, see `reset` and `step`.
 
     Raises:
         InputError: no fleet drives in this domain, or not on a layout, or their sizes differ.

@@ -49,6 +49,9 @@ def train_agent(
         report_every: updates between two lines of the log.
         cpu_seconds: stop after about as many CPU seconds, ready to be resumed.
 
+    Returns:
+        the agent's file.
+
     Raises:
         InputError: there is a run in the folder already, or none to resume.
 
@@ -94,9 +97,9 @@ class EpisodeOptions(Ranged):
 
     agent: str = ""  # an agent.npz; the shipped one unless given
     runs: Annotated[int, Interval(ge=1, le=1_000_000)] = 100  # independent episodes, in each maze
-    # actions per episode; twice the tiles of the ringed maze unless given
+    # most actions per episode; twice the tiles of the ringed maze unless given
     timesteps: Annotated[PositiveInt | None, arg(aliases=("--horizon",))] = None
-    seed: Seed = 0  # of headings, actions and random mazes
+    seed: Seed = 0  # seed of headings, actions and random mazes
     reference_batching: bool = False  # repeat the published evaluation's two quirks, for comparison
 
 
@@ -117,6 +120,10 @@ def evaluate_agent(
         out: table of the random mazes (.csv), their layout files in a folder and a picture of them
             beside it; LAYOUT_random.csv unless given.
         gif: draw one episode.
+
+    Returns:
+        ``rate`` with its 95 % interval ``low`` to ``high``, ``mean_length`` in actions,
+        ``shortest`` in moves, and what random mazes gave.
 
     Raises:
         InputError: it is no maze, or a number is impossible.
@@ -220,6 +227,9 @@ def convert_agent(checkpoint: Positional[Path], out: args.Out = None) -> Path:
         checkpoint: your copy of the file; read without PyTorch, nothing in it is executed.
         out: the agent to write; agent.npz unless given.
 
+    Returns:
+        the agent's file.
+
     Raises:
         InputError: it is no such checkpoint.
 
@@ -245,7 +255,7 @@ def surrogate(
     size: Literal["small", "published"] = "small",
     **settings: Annotated[Any, args.Mark.SURROGATE],
 ) -> Result:
-    """Predict a run's elites by a surrogate: how much of throughput and measures it can tell.
+    """Predict a run's elites by a surrogate: how well it foretells throughput and measures.
 
     The surrogate is DSAGE's. It learns from four fifths of the elites and predicts the others:
     the repaired layout from the drawn one, then throughput and measures. How much each cell is
@@ -258,6 +268,9 @@ def surrogate(
         plot: picture to write, predicted over true; beside the table unless given.
         size: small suits a CPU, published is the paper's, for a GPU; settings replace its numbers.
         **settings: channels, blocks, epochs, minibatch and rate, see `SurrogateConfig`.
+
+    Returns:
+        ``skills``: of each number R2, RMSE and rank correlation, mean and spread over the splits.
 
     Raises:
         InputError: there are too few elites, or a setting is impossible.

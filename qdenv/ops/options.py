@@ -120,10 +120,10 @@ Guidance: TypeAlias = Annotated[Any, option("FILE|NAME", str)]
 class RunOptions(TypedDict, total=False):
     """One run of a fleet."""
 
-    domain: DomainName  # whose tasks the agents do; what the layout file says unless given
-    # how long to simulate; 1000, or what is known of the layout's size, unless given
+    domain: DomainName  # whose tasks the agents do; that of the layout file unless given
+    # number of timesteps; unless given 1000, or the number known for the layout's size
     timesteps: PositiveInt | None
-    # of the negotiated planner: low for a quick look, high, for numbers to report, unless given
+    # of the negotiated planner: low for a quick look, high (the default) for numbers to report
     effort: Annotated[str | None, arg(metavar="{low,high}")]
     # who plans, --help-all lists its settings: a registered name or settings, like `PbsConfig()`;
     # `compare` takes a list of them
@@ -131,7 +131,7 @@ class RunOptions(TypedDict, total=False):
     # what robots do at their goals, in place of what the plan says: settings of its domain by name,
     # like {"pick": 3}; "demand" is "shelves", a file, zones, or float [H, W]
     tasks: Annotated[dict[str, Any], arg(name="", constructor=TaskOptions)]
-    # end a run at its first congested window, as published; --no-stop goes on (Figure 17)
+    # end a run at its first congested window, as the paper does; --no-stop continues
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
     # costs of moves: none, crisscross, traffic-flow, human-cost, or a file; what the layout file
     # holds unless given
@@ -139,40 +139,41 @@ class RunOptions(TypedDict, total=False):
 
 
 class FleetOptions(RunOptions, total=False):
-    """Runs of a fleet."""
+    """Runs of a fleet, each as `RunOptions` says."""
 
     # 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one
     seeds: Annotated[Seeds, arg(help_behavior_hint="(default: 10)")]
-    seconds_per_step: PositiveFloat | None  # of one timestep, to report tasks per hour, too
+    seconds_per_step: PositiveFloat | None  # length of a timestep, to report tasks per hour, too
 
 
 class StudyOptions(FleetOptions, total=False):
-    """Runs of several fleets, a table of them and a picture."""
+    """Runs of several fleets (`FleetOptions`), a table of them and a picture."""
 
-    out: Out  # CSV file to write; named after the command, for sweeps the layout, unless given
+    # CSV file to write; named after the command, or for sweeps the layout, unless given
+    out: Out
     plot: Picture  # picture to write; beside the table unless given
-    width: Width  # of the picture in inches; what suits it unless given
+    width: Width  # width of the picture in inches; what suits it unless given
 
 
 class GuideOptions(RunOptions, total=False):
-    """A search of costs; the planner is PIBT unless another is named."""
+    """A search of costs, with runs as `RunOptions` says; by PIBT unless a planner is named."""
 
-    # costs that are tried, rounded up to whole iterations; 2000 unless given
+    # number of costs to try, rounded up to whole iterations; 2000 unless given
     evaluations: PositiveInt
-    minutes: PositiveFloat | None  # pause after these; `qdenv resume` goes on
-    simulations: PositiveInt  # of each costs, with fresh seeds; 1 unless given
-    seed: NonNegativeInt  # of the search; 0 unless given
+    minutes: PositiveFloat | None  # pause after as many minutes; `qdenv resume` continues
+    simulations: PositiveInt  # number for each costs, with fresh seeds; 1 unless given
+    seed: NonNegativeInt  # seed of the search; 0 unless given
 
 
 class ImproveOptions(RunOptions, total=False):
-    """A search of better plans."""
+    """A search of better plans, with runs as `RunOptions` says."""
 
-    moves: PositiveInt  # racks that "some racks" moves at most; 20 unless given
-    aisle: PositiveInt  # cells that aisles are wide, at least; what the plan says unless given
-    rack: str  # rows and columns of the smallest rack, as 2x6; what the plan says unless given
-    minutes: PositiveFloat | None  # of all searches; 10 unless evaluations are given
-    evaluations: PositiveInt | None  # floors, or costs of moves, that each search tries
-    seed: NonNegativeInt  # of the searches; 0 unless given
+    moves: PositiveInt  # most racks that the search "some racks" moves; 20 unless given
+    aisle: PositiveInt  # least width of aisles in cells, else the plan's
+    rack: str  # rows and columns of the smallest rack, as 2x6, else the plan's
+    minutes: PositiveFloat | None  # for all searches; 10 unless evaluations are given
+    evaluations: PositiveInt | None  # number of floors, or costs of moves, that each search tries
+    seed: NonNegativeInt  # seed of the searches; 0 unless given
 
 
 class Fleet:
@@ -291,6 +292,9 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
     Args:
         layout: path of a file, a `Plan`, a `Layout`, or an int array [H, W] of tiles.
         domain: whose layout; needed for arrays only.
+
+    Returns:
+        the plan: tiles, domain, and what its file states.
 
     Raises:
         InputError: it is no layout, or one of another domain.

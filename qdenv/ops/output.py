@@ -151,10 +151,19 @@ class Layout:
     costs: np.ndarray | None = None
 
     def save(self, path: str | Path) -> Path:
-        """Write a layout file with the domain and the details in it; InputError if impossible.
+        """Write a layout file with the domain and the details in it.
 
         Beside text and CSV, which hold none, domain, cells that must stay, rules and tasks are
-        facts.
+        facts in a .toml of the same name.
+
+        Args:
+            path: of the file, whose ending chooses the format.
+
+        Returns:
+            the path.
+
+        Raises:
+            InputError: the format cannot hold the layout, or the place cannot be written to.
         """
         own = self.domain.details
         facts = {**own.get("facts", {}), **self.details.get("facts", {})}
@@ -173,7 +182,10 @@ class Layout:
         return path
 
     def draw(self, path: str | Path) -> Path:
-        """Draw the layout as a picture, PNG, SVG or PDF by the ending of its name."""
+        """Draw the layout as a picture at `path`, which is returned: PNG, SVG or PDF by its ending.
+
+        Raises InputError if the place cannot be written to, or the ending is another.
+        """
         from qdenv.view.layouts import draw_plan  # imports matplotlib
         from qdenv.view.style import save_figure
 
@@ -237,7 +249,7 @@ class Table(list):
         return "\n".join(format_table(map(list, lines))) if rows else "Table(no rows)"
 
     def to_pandas(self) -> Any:
-        """Make a pandas data frame."""
+        """Make a pandas data frame, a line for each row; needs the extra ``data``."""
         import pandas
 
         return pandas.DataFrame([row._asdict() for row in self])

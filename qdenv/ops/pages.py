@@ -42,8 +42,8 @@ class FilmOptions(Ranged):
     gif: args.Picture = None  # draw an animated GIF
     mp4: args.Picture = None  # draw a film
     first: NonNegativeInt = 0  # timestep at which films begin
-    # timestep at which they end; unless given the end of the run, in a GIF of robots 100 after the
-    # first
+    # timestep at which films end; unless given the end of the run, or in a GIF of robots 100
+    # timesteps after the first
     last: PositiveInt | None = None
 
     def __post_init__(self) -> None:
@@ -73,11 +73,14 @@ def replay(
 
     Args:
         layout: layout file.
-        agents: number of agents (robots); 200, or what is known of the layout's size, unless given.
-        seed: of the run.
+        agents: number of agents (robots); unless given that of the plan or its size, else 200.
+        seed: seed of the run.
         films: beside the page.
         out: page to write (.html), one file that needs no network; LAYOUT_replay.html unless given.
         **fleet: see `RunOptions`.
+
+    Returns:
+        the page, with throughput, tasks and share of waiting among its facts.
 
     Raises:
         InputError: a name is unknown, the fleet cannot work on this layout, or a package is
@@ -188,9 +191,12 @@ def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out =
 
     Args:
         run: folder of the run.
-        growth: how many elites the page shows growing, the best among them; unless given as many
-            as fit into 12 MB.
+        growth: number of elites that the page shows growing, the best among them; as many as fit
+            into 12 MB unless given.
         out: page to write; explorer.html unless given.
+
+    Returns:
+        the page, with the numbers of elites among its facts.
 
     Raises:
         InputError: there is no elite, there are more than two measures, or a package is missing.
@@ -225,12 +231,15 @@ def report(
 
     Args:
         sources: layout files, and runs or zoo:DOMAIN/NAME, whose best layout is reported on.
-        agents: number of agents (robots), 200 or what is known of the layout's size unless given;
-            half as many to half as many again are simulated, too, unless several are given, as
-            50,100 or 50:400:50: then those, and the first layout's peak is looked at closely.
+        agents: number of agents (robots); unless given that of the plan or its size, else 200. Half
+            as many to half as many again are simulated as well. Several (50,100 or 50:400:50)
+            replace those; the first layout's peak is then looked at closely.
         out: page to write (.html); report.html unless given.
         again: the command line that makes the page again, which it shows.
         **fleet: see `FleetOptions`.
+
+    Returns:
+        the page, with all its numbers among its facts.
 
     Raises:
         InputError: something cannot be read, a fleet cannot work there, or a package is missing.

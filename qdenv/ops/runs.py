@@ -41,8 +41,11 @@ def plot(
             mean and interval over runs that differ by their seeds alone.
         out: folder for the pictures; a run's own unless given, for generators of the zoo one
             named after them, for several runs plots.
-        form: of the pictures.
-        width: of the pictures in inches; what suits them unless given.
+        form: format of the pictures.
+        width: width of the pictures in inches; what suits them unless given.
+
+    Returns:
+        the pictures' files.
 
     Raises:
         InputError: there is no run, or nothing to draw yet.
@@ -102,7 +105,7 @@ class GrowthOptions(Ranged):
 
     # in place of an elite's name a value for each measure, like 200 0.8; the nearest elite
     measures: tuple[float, ...] = ()
-    # steps of growth; unless given what is known of the size, or else scaled with it
+    # steps of growth; unless given the number known for the size, or else scaled with it
     steps: PositiveInt | None = None
     # other seeds give other, equally good repairs; the run's own unless given
     seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
@@ -138,7 +141,7 @@ def generate(
         growth: steps, seed, plan, what must stay, frames.
         out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
             unless given.
-        **numbers: exact numbers of tiles; unless given what is known of the size, or else scaled
+        **numbers: exact numbers of tiles; unless given those known for the size, or else scaled
             with the area. In Python also ``steps``, ``seed`` and ``polish``.
 
     Returns:
@@ -188,8 +191,8 @@ def generate(
     chosen = [*(numbers if plan is None else domain.counted), *["steps"] * bool(growth.steps)]
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:
-        drawn = "WARNING: what the run kept is drawn for {} x {}".format(*trained.shape)
-        say(f"{drawn}, so nothing is kept at this size: --keep FILE draws what shall be")
+        drawn = "WARNING: the run keeps cells of layouts of {} x {}".format(*trained.shape)
+        say(f"{drawn}; at this size nothing is kept unless --keep names it")
     details: dict[str, Any] = {"domain": domain.name, "elite": found.cell, "steps": grown.steps}
     if repaired is not None:
         layout = np.asarray(repaired.layout)
@@ -217,19 +220,22 @@ def series(
     out: args.Out = None,
     **numbers: args.Numbers,
 ) -> list[Layout]:
-    """Grow one elite at many sizes: those of Figure 18 unless others are given.
+    """Grow one elite at many sizes: those of the paper's Figure 18 unless others are given.
 
     Args:
         run: the run directory.
         elite: "best", or the archive cell's indices like 12,40.
         sizes: rows and columns of each layout, like 33x36 57x58; seven sizes from 33x36 to
             101x102 unless given.
-        steps: NCA steps for each size; unless given what is known of it, or else scaled with it.
+        steps: steps of growth for each size; unless given those known for it, or else scaled.
         seed: other seeds give other, equally good repairs; the run's own unless given.
         human: also draw what people design at each size.
         out: folder for the layouts, their pictures and series.csv; series unless given.
-        **numbers: exact numbers of tiles for each size; unless given what is known of it, or else
+        **numbers: exact numbers of tiles for each size; unless given those known for it, or else
             scaled with the area.
+
+    Returns:
+        a layout for each size.
 
     Raises:
         InputError: there is no such elite, or no layout of a size obeys the rules.
@@ -276,6 +282,9 @@ def export(
         out: table to write, .csv or .parquet; RUN_elites.csv unless given.
         layouts: folder to write a layout file for each elite into, named by its cell.
         solutions: add the parameters of the generators to the table.
+
+    Returns:
+        the files that were written.
 
     Raises:
         InputError: there is no run, a name is impossible, or a package is missing.

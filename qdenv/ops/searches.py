@@ -38,6 +38,9 @@ _ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"
 def presets() -> Result:
     """List the presets: what they search, and how long that takes on this machine.
 
+    Returns:
+        ``presets``, a record for each, and ``sizes`` with numbers of their own.
+
     Examples:
         ``qdenv presets``
     """
@@ -61,7 +64,7 @@ def presets() -> Result:
     head = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
     say(*format_table([head, *([row[name] for name in head] for row in table)]))
     say("agents: robots in a simulation; steps: its timesteps; evaluations: layouts simulated")
-    say("", "sizes with numbers of their own, which commands take there unless others are stated:")
+    say("", "sizes whose numbers are known, which commands take there unless others are given:")
     for name in dict.fromkeys(str(row["domain"]) for row in table):
         domain = find_domain(name)
         for (rows, cols), size in domain.known.items():
@@ -92,14 +95,17 @@ def train(
         progress: show a progress bar.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
         plan: floor plan whose size, numbers of tiles, walls and stations all layouts have.
-        keep: what must stay of the plan, as `repair` takes it: w, 0:7,33:40, or a drawing in which
-            ? stands where anything may be.
+        keep: what must stay of the plan: tiles (w), a rectangle (0:7,33:40), or a drawing (? is
+            free).
         pictures: draw the run when it ends, as the command does.
         **settings: in place of the preset's, by the names of `qdenv train --help-all` with
             underscores: evaluations=300, seed=3, alpha=1.0, agents=40, shelves=60. Domains,
             planners, generators and algorithms may be named, or given as settings:
             planner="pbs", planner=PbsConfig(rule="plain"). What is not stated follows the size:
             numbers of tiles, agents, steps and axes.
+
+    Returns:
+        the run, whose ``archive`` and ``best`` are what was found.
 
     Raises:
         InputError: a name is unknown, a setting is impossible, or the folder holds a run already.
@@ -164,9 +170,12 @@ def resume(
     Args:
         run: folder of the run.
         progress: show a progress bar.
-        evaluations: a new total, to go on beyond the configured one.
+        evaluations: a new total, to continue beyond the configured one.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
         pictures: draw the run when it ends, as the command does.
+
+    Returns:
+        the run; of an improvement its folder, of an agent its file.
 
     Raises:
         InputError: there is no run, it was written by a newer version or with other settings, or
@@ -210,6 +219,9 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Result:
     Args:
         name: only those of a domain, or all about one, like warehouse-even/best.
         plot: picture of their layouts at the trained size to write; zoo.png unless named.
+
+    Returns:
+        ``domains``, each with its generators, and for these what was measured at each size.
 
     Raises:
         InputError: there is no such domain or generator.

@@ -34,8 +34,8 @@ def sweep(
 
     Args:
         layout: layout file.
-        agents: numbers of agents (robots), as 50:400:50, which it is unless given, or 50,100,200;
-            more at a size for which more are known.
+        agents: numbers of agents (robots), as 50,100,200 or 50:400:50; the latter unless given, or
+            more for a layout on which more are usual.
         **study: see `StudyOptions`.
 
     Returns:
@@ -73,8 +73,8 @@ def compare(
         layouts: layout files; all others are compared with the first. With several planners, as
             --planner negotiated,pbs,pibt, each is compared with the first planner on the same
             layout, seed by seed.
-        agents: numbers of agents (robots), as 200 or 50,100 or 50:400:50; 200, or what is known of
-            the layouts' size, unless given.
+        agents: numbers of agents (robots), as 200 or 50,100 or 50:400:50; unless given that of
+            the first plan or its size, else 200.
         runs: CSV file to write with a row for each seed.
         **study: see `StudyOptions`.
 
@@ -125,8 +125,8 @@ def scalability(
 
     Args:
         layouts: layout files, of one size or of several.
-        agents: numbers of agents (robots) to try in turn, 50:1000:50 unless given, more at a size
-            for which more are known; those that do not fit are left out.
+        agents: numbers of agents (robots) to try in turn; 50:1000:50 unless given, or more for a
+            layout on which more are usual. Those that do not fit are left out.
         **study: see `StudyOptions`.
 
     Returns:

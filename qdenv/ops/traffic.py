@@ -41,12 +41,12 @@ def simulate(
 
     Args:
         layout: layout file.
-        agents: number of agents (robots); 200, or what is known of the layout's size, unless given.
+        agents: number of agents (robots); unless given that of the plan or its size, else 200.
         audit: check every trajectory against the rules of movement.
         verdict: simulate a few runs with fewer and with more agents as well, to find whether this
             number flows, is near capacity, past its peak or congested.
         plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
-        width: of the picture in inches; what suits it unless given.
+        width: width of the picture in inches; what suits it unless given.
         paths: file of where every robot is at every timestep of the first seed's run: .csv, or
             .json for PlanViz.
         **fleet: see `FleetOptions`.

@@ -23,7 +23,15 @@ class Violation(NamedTuple):
 
 
 def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
-    """Name every rule that `layout` (int8 [H, W]) breaks, with the cells that do."""
+    """Name every rule that a layout breaks, with the cells that do.
+
+    Args:
+        layout: int8 [H, W].
+        rules: of layouts of this size; another size is a violation.
+
+    Returns:
+        a `Violation` for each broken rule; empty for a feasible layout.
+    """
     layout = np.asarray(layout)
     shape = rules.allowed.shape[:2]
     if layout.shape != shape:

@@ -90,7 +90,7 @@ def best_row(columns: Columns, tie_break: str | None) -> int:
 class SavedArchive:
     """The filled cells of the result archive of a run."""
 
-    columns: Columns  # arrays with one row per elite, as in archive.npz
+    columns: Columns  # arrays [n, ...] of n elites by name, as in archive.npz
     schema: ArchiveSchema  # what the columns mean
     source: str  # the run, for messages
     # cells of named elites; one that is named "best" is the best, whatever its objective
@@ -100,10 +100,17 @@ class SavedArchive:
     def read(
         cls, path: Path, schema: ArchiveSchema, source: str, names: Mapping[str, tuple[int, ...]]
     ) -> Self:
-        """Read an archive.npz, or raise InputError.
+        """Read a file like archive.npz.
 
-        It may be no archive over these measures: a column is missing or of another length, a cell
-        lies outside, or a tile means nothing.
+        Args:
+            path: of the file.
+            schema: what its columns mean.
+            source: the run, for messages.
+            names: cells of named elites.
+
+        Raises:
+            InputError: it is no archive over these measures: a column is missing or of another
+                length, a cell lies outside, or a tile means nothing.
         """
         columns = read_arrays(path, _COLUMNS | {"repaired": Column("iu", 3)}, Column(), _KNOWN)
         index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
@@ -153,11 +160,15 @@ class SavedArchive:
     def elite(
         self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
     ) -> Elite:
-        """Find an elite: "best" or another name, or a cell, "12,40" or (12, 40).
+        """Find an elite.
 
-        With a value for each measure in place of `which`: the elite of their cell, or else the
-        nearest one, where every axis counts as equally long. Raises InputError if there is no elite
-        at all or none in that cell, or the request is malformed.
+        Args:
+            which: "best" or another name, or a cell, "12,40" or (12, 40).
+            measures: in place of `which` a value for each measure: the elite of their cell, or else
+                the nearest one, where every axis counts as equally long.
+
+        Raises:
+            InputError: there is no elite at all or none in that cell, or the request is malformed.
         """
         if len(self) == 0:
             raise InputError(f"{self.source}: the archive is empty, no solution succeeded yet")
@@ -229,7 +240,7 @@ class SavedArchive:
 
         ``cell`` (like "12,40", as `elite` takes it), ``objective``, each measure by its name, then
         what is saved beside the elites: one column per number, ``throughput_0`` and so on where
-        there is one per simulation; with `solutions` also ``solution_0`` and so on.
+        there is one per simulation; with `solutions` also ``solution_0`` and so on. Each is [n].
         """
         columns: dict[str, np.ndarray] = {
             "cell": np.array([",".join(map(str, cell)) for cell in self.cells], dtype=object),
@@ -247,7 +258,10 @@ class SavedArchive:
         return columns
 
     def to_pandas(self, solutions: bool = False) -> "pandas.DataFrame":
-        """Make a pandas data frame of `table`; `InputError` if pandas is not installed."""
+        """Make a pandas data frame of `table`, with the `solutions` if so.
+
+        Raises InputError if pandas is not installed.
+        """
         try:
             import pandas
         except ImportError as error:
@@ -255,7 +269,10 @@ class SavedArchive:
         return pandas.DataFrame(self.table(solutions))
 
     def write_table(self, path: Path, solutions: bool = False) -> None:
-        """Write `table` as .csv, or as .parquet if the path ends so, which needs pyarrow."""
+        """Write `table` at `path`, with the `solutions` if so: .parquet if it ends so, else CSV.
+
+        Raises InputError if the place cannot be written to, or pyarrow is not installed.
+        """
         if path.suffix.lower() != ".parquet":
             table = self.table(solutions)
             # As numpy's numbers: Python's would show digits that single precision does not hold.
@@ -273,7 +290,7 @@ class SavedArchive:
         write_atomically(path, content.getvalue())
 
     def write_layouts(self, folder: Path, domain: str) -> None:
-        """Write each elite's layout of a domain of this name into a folder, as 12_40.json."""
+        """Write each elite's layout into `folder`, as 12_40.json of the domain called `domain`."""
         for elite in self.elites():
             details = {"objective": elite.objective, "measures": dict(elite.measures)}
             path = folder / f"{'_'.join(map(str, elite.cell))}.json"

@@ -72,13 +72,13 @@ class Metrics(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class RunDirectory:
-    """The files of one run in the folder `path`; every write leaves the old file or the new one.
+    """The files of one run; every write leaves the old file or the new one.
 
-    `shipped` says which generator of the zoo it is, which is only read; None for one's own run.
+    A generator of the zoo is only read.
     """
 
-    path: Path
-    shipped: Shipped | None = None
+    path: Path  # of the folder
+    shipped: Shipped | None = None  # which generator of the zoo it is; None for one's own run
 
     @classmethod
     def create(
@@ -88,10 +88,16 @@ class RunDirectory:
         measures: Sequence[Measure],
         start: np.ndarray | None = None,
     ) -> RunDirectory:
-        """Start a run's folder, which is made if need be, or raise InputError if it holds one.
+        """Start a run's folder.
 
-        `config` is resolved; `measures` are the axes of the archive, `start` the parameters from
-        which the search begins, float [P], or None for zeros.
+        Args:
+            path: the folder, which is made if need be.
+            config: every setting, resolved.
+            measures: the axes of the archive.
+            start: parameters from which the search begins, float [P]; None for zeros.
+
+        Raises:
+            InputError: the folder holds a run already, or belongs to the zoo.
         """
         run = cls(Path(path))
         run.demand_new()
@@ -124,9 +130,13 @@ class RunDirectory:
 
     @classmethod
     def open(cls, path: str | Path) -> RunDirectory:
-        """Open an existing run: its folder, or ``zoo:DOMAIN/NAME``.
+        """Open an existing run.
 
-        Raises InputError if there is none, or a newer qdenv wrote it.
+        Args:
+            path: its folder, or ``zoo:DOMAIN/NAME``.
+
+        Raises:
+            InputError: there is no run, or a newer qdenv wrote it.
         """
         shipped = find(path)
         run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(path))
@@ -141,9 +151,10 @@ class RunDirectory:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep every other process from writing here, see `files.locked`.
+        """Keep every other process from writing here while the context lasts.
 
-        Raises InputError also if the folder ships with the package.
+        Raises:
+            InputError: another process is at work on this run, or it is of the zoo.
         """
         self.demand_own()
         with locked(self.path):
@@ -166,18 +177,18 @@ class RunDirectory:
         refuse_second_run(self.path, begun)
 
     def write_config(self, config: RunConfig) -> None:
-        """Write config.json."""
+        """Write `config` as config.json."""
         write_json(self.path / "config.json", config_to_json(config))
 
     @property
     def config(self) -> RunConfig:
-        """The resolved configuration."""
+        """Every setting, resolved; `InputError` if config.json is damaged."""
         path = self.path / "config.json"
         return config_from_json(read_json(path, dict[str, Any]), path)
 
     @property
     def schema(self) -> ArchiveSchema:
-        """What the archive means: its axes, the alphabet of its layouts, its objective."""
+        """What the archive means; `InputError` if manifest.json is damaged."""
         path = self.path / "manifest.json"
         schema = read_json(path, ArchiveSchema)
         try:
@@ -213,26 +224,48 @@ class RunDirectory:
 
     @property
     def best(self) -> Elite:
-        """The best elite."""
+        """The best elite; `InputError` as for `archive`, or if no solution succeeded yet."""
         return self.archive.best
 
     def elite(
         self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
     ) -> Elite:
-        """Find an elite as `SavedArchive.elite` does: "best", "12,40", (12, 40), or by measures."""
+        """Find an elite.
+
+        Args:
+            which: "best" or another name in the zoo, or a cell, "12,40" or (12, 40).
+            measures: in place of `which` a value for each measure: the elite of their cell, or else
+                the nearest one, where every axis counts as equally long.
+
+        Raises:
+            InputError: there is no such elite, or the request is malformed.
+        """
         return self.archive.elite(which, measures)
 
     def read_metrics(self, salvage: bool = False) -> list[Metrics]:
-        """Read metrics.csv; missing columns that have defaults take them.
+        """Read metrics.csv, a row for each iteration; missing columns take their defaults.
 
-        With `salvage`, the rows before a damage are returned and it is logged, in place of an
-        error.
+        Args:
+            salvage: return the rows before a damage and log it, in place of an error.
+
+        Raises:
+            InputError: the file is missing or damaged.
         """
         # Without a success there is no best objective: it is infinite.
         return _collect(read_table(self.path / METRICS, Metrics, ("best_objective",)), salvage)
 
     def read_notes(self, salvage: bool = False) -> list[Note]:
-        """Read notes.csv as `read_metrics` does; an algorithm without notes has no such file."""
+        """Read notes.csv, the algorithm's own numbers by name, a row for each iteration.
+
+        Args:
+            salvage: see `read_metrics`.
+
+        Returns:
+            the rows; none where the algorithm has no notes.
+
+        Raises:
+            InputError: the file is damaged.
+        """
         path = self.path / NOTES
         return _collect(_iterate_notes(path), salvage) if path.exists() else []
 

@@ -28,8 +28,9 @@ class Experiment(NamedTuple):
     measures: tuple[Measure, ...]  # axes of the archive, with the configured ranges
     pipeline: Pipeline  # the chain from parameters to evaluation, with its domain
     algorithm: Algorithm  # the search
-    search_key: jax.Array  # key of the search's initial state
-    evaluation_key: jax.Array  # iteration ``i`` is evaluated with ``fold_in(evaluation_key, i)``
+    search_key: jax.Array  # key [] of the search's initial state
+    # key [], iteration ``i`` is evaluated with ``fold_in(evaluation_key, i)``
+    evaluation_key: jax.Array
 
     def settings(self, config: RunConfig) -> dict[str, Any]:
         """List what decides the result, by the names of config.json (``algorithm.sigma0``)."""
@@ -48,11 +49,17 @@ class Experiment(NamedTuple):
 def make_experiment(
     config: RunConfig | str, start: np.ndarray | None = None, **settings: Any
 ) -> Experiment:
-    """Build a run's parts, or raise InputError if a name is unknown or a setting impossible.
+    """Build a run's parts.
 
-    `config` is a configuration, or the name of a preset; `settings` replace its own as those of
-    `train` do, wherever they are nested: ``make_experiment("quick", backend="xla")``. `start` are
-    the parameters from which the search begins, float [P]: what ``start`` names unless given.
+    Args:
+        config: a configuration, or the name of a preset.
+        start: parameters from which the search begins, float [P]; those of the generator that the
+            setting ``start`` names unless given.
+        **settings: replace those of the configuration as in `train`, wherever they are nested:
+            ``make_experiment("quick", backend="xla")``.
+
+    Raises:
+        InputError: a name is unknown, or a setting is impossible.
     """
     if isinstance(config, str):
         from qdenv.configurations import find_preset  # which imports `run.config`
@@ -118,12 +125,21 @@ def observed(evaluation: Evaluation) -> dict[str, Array]:
 
 
 def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
-    """Make one whole iteration as one traceable function: (state, iteration) -> state.
+    """Make one whole iteration as one traceable function.
 
     Under `jax.jit` the repair is the only thing that leaves the device (where the planner's
     backend is XLA); under `lax.scan` a run is one program. `train` runs the same iteration in
-    parts instead, so that repairs and simulations overlap. Raises InputError if the algorithm draws
-    populations ahead, which takes several at once.
+    parts instead, so that repairs and simulations overlap.
+
+    Args:
+        experiment: from `make_experiment`.
+
+    Returns:
+        function (state, iteration int32 []) -> state; the first state is
+        ``experiment.algorithm.init(experiment.search_key)``.
+
+    Raises:
+        InputError: the algorithm draws populations ahead, which takes several at once.
     """
     if experiment.algorithm.ahead:
         raise InputError("a whole iteration as one function draws nothing ahead: leave ahead at 0")

@@ -31,10 +31,13 @@ class Insertion(NamedTuple):
 class GridArchive(MapElitesRepertoire):
     """The best solution of every cell of a regular grid over the measures.
 
+    Mouret and Clune 2015, https://arxiv.org/abs/1504.04909.
+
     A qdax `MapElitesRepertoire` (selectors, metrics and the `MAPElites` driver accept it) whose
     cells are found by direct indexing. Cells are numbered row-major, the last measure fastest.
 
-    With `thresholds` it is the soft archive of CMA-MAE: a cell accepts whatever exceeds its
+    With `thresholds` it is the soft archive of CMA-MAE (Fontaine and Nikolaidis 2023,
+    https://arxiv.org/abs/2205.10752): a cell accepts whatever exceeds its
     threshold, which follows the objectives that it accepted. A winner then replaces the elite of
     its cell even when its objective is lower: keep an archive without thresholds for results.
 
@@ -62,12 +65,19 @@ class GridArchive(MapElitesRepertoire):
         learning_rate: float | None = None,
         threshold_min: float = -math.inf,
     ) -> Self:
-        """Make an archive without elites over the axes `measures`.
+        """Make an archive without elites.
 
-        Of `solution` and `extras`, examples of what is stored in each cell, shapes and dtypes are
-        read. The learning rate of thresholds lies in [0, 1], and is 1 where that of an empty cell,
-        `threshold_min`, is -inf; None makes an elitist archive. Raises InputError if the measures
-        make no grid, or the two numbers do not go together.
+        Args:
+            solution: an example of what each cell stores, an array or a pytree; its shapes and
+                dtypes are read.
+            measures: the axes.
+            extras: examples of what is stored beside each elite, by name.
+            learning_rate: of thresholds, in [0, 1], and 1 where `threshold_min` is -inf; None makes
+                an elitist archive.
+            threshold_min: threshold of an empty cell.
+
+        Raises:
+            InputError: the measures make no grid, or the two numbers do not go together.
         """
         axes = check_measures(measures)
         extras = dict(extras or {})
@@ -101,9 +111,15 @@ class GridArchive(MapElitesRepertoire):
 
     @classmethod
     def from_elites(cls, columns: Mapping[str, np.ndarray], measures: Sequence[Measure]) -> Self:
-        """Make an elitist archive of the columns of `elites`, like those of a run's archive.npz.
+        """Make an elitist archive of elites.
 
-        Raises InputError if the columns do not belong to an archive over these measures.
+        Args:
+            columns: as `elites` returns them, or a run's archive.npz holds them: arrays of n elites
+                [n, ...] by name.
+            measures: the axes.
+
+        Raises:
+            InputError: the columns do not belong to an archive over these measures.
         """
         rows = {name: values for name, values in columns.items() if name != "threshold"}
         index, solution, objective, places = (
@@ -138,8 +154,20 @@ class GridArchive(MapElitesRepertoire):
     ) -> Self:
         """Make an archive of a first batch, which may be empty, as qdax's `MAPElites` expects it.
 
-        Bind the grid first: ``functools.partial(GridArchive.init, measures=measures)``. The
-        `centroids` follow from the measures and are ignored.
+        Bind the grid first: ``functools.partial(GridArchive.init, measures=measures)``.
+
+        Args:
+            genotypes: solutions, pytree of [B, ...].
+            fitnesses: float [B] or [B, 1], the objectives.
+            descriptors: float [B, M], the measures.
+            centroids: follow from the axes, and are ignored.
+            *args: ignored.
+            measures: the axes.
+            extra_scores: arrays [B, ...] by name.
+            keys_extra_scores: which of these are stored.
+
+        Raises:
+            InputError: the measures make no grid.
         """
         extras = {
             key: value for key, value in (extra_scores or {}).items() if key in keys_extra_scores
@@ -165,7 +193,7 @@ class GridArchive(MapElitesRepertoire):
         return index
 
     def threshold_of(self, cells: jax.Array) -> jax.Array:
-        """Look up what a solution must exceed to enter each of `cells` (int32 [B] -> [B])."""
+        """Return what an objective must exceed to enter `cells` (int32 [B] -> float [B])."""
         return self.fitnesses[cells, 0] if self.thresholds is None else self.thresholds[cells]
 
     def insert(
@@ -179,9 +207,21 @@ class GridArchive(MapElitesRepertoire):
         """Add a batch at once: every solution is judged against the archive before the batch.
 
         The winner of a cell is the best accepted solution, the first one on a tie (pyribs'
-        ``GridArchive.add``). Rows that failed (`success`, bool [B]), or whose objective [B] or
-        measures [B, M] are not finite, enter nothing. The `extras` [B, ...] must hold the keys
-        declared at construction: InputError, when tracing, if one is missing.
+        ``GridArchive.add``). Thresholds t follow what they accept, t' = (1 - a) t + a f, with the
+        learning rate a.
+
+        Args:
+            solutions: pytree of [B, ...].
+            objective: float [B]; a row that is not finite enters nothing.
+            measures: float [B, M]; likewise.
+            extras: arrays [B, ...] by name, at least those declared at construction.
+            success: bool [B], False for rows that enter nothing.
+
+        Returns:
+            the archive, and how each row was received.
+
+        Raises:
+            InputError: when tracing, if one of the extras is missing.
         """
         objective = jnp.asarray(objective, self.fitnesses.dtype)
         measures = jnp.asarray(measures, self.descriptors.dtype)
@@ -189,7 +229,7 @@ class GridArchive(MapElitesRepertoire):
         chex.assert_shape(measures, (*objective.shape, len(self.measures)))
         extras = extras or {}
         if missing := [key for key in self.keys_extra_scores if key not in extras]:
-            raise InputError(f"this archive stores {missing[0]!r} beside each elite: hand it in")
+            raise InputError(f"this archive stores {missing[0]!r} beside each elite: pass it")
         stored = {key: extras[key] for key in self.keys_extra_scores}
         chex.assert_tree_shape_prefix((solutions, stored), objective.shape)
         # A failed row gets the objective that beats no threshold: it needs no case of its own.
@@ -230,7 +270,11 @@ class GridArchive(MapElitesRepertoire):
         batch_of_fitnesses: Array,
         batch_of_extra_scores: Mapping[str, Array] | None = None,
     ) -> Self:
-        """Add a batch (qdax's signature; see `insert`)."""
+        """Add a batch as `insert` does, with the names of qdax.
+
+        Solutions are `batch_of_genotypes` [B, ...], measures `batch_of_descriptors` [B, M],
+        objectives `batch_of_fitnesses` [B] or [B, 1], and extras `batch_of_extra_scores`.
+        """
         objective = jnp.reshape(batch_of_fitnesses, (batch_of_descriptors.shape[0],))
         extras = batch_of_extra_scores
         return self.insert(batch_of_genotypes, objective, batch_of_descriptors, extras)[0]
@@ -254,7 +298,7 @@ class GridArchive(MapElitesRepertoire):
 
     @property
     def qd_score(self) -> jax.Array:
-        """Return the sum of the objectives over the filled cells; 0 when empty.
+        """Return the sum of the objectives over the filled cells, float []; 0 when empty.
 
         Pugh, Soros and Stanley 2016, https://doi.org/10.3389/frobt.2016.00040.
         """
@@ -262,13 +306,13 @@ class GridArchive(MapElitesRepertoire):
 
     @property
     def coverage(self) -> jax.Array:
-        """Return the share of filled cells, in [0, 1]."""
+        """Return the share of filled cells, float [], in [0, 1]."""
         return self.filled.mean()
 
     def sample_solutions(self, key: jax.Array, count: int, fallback: Any) -> Any:
         """Draw elites uniformly with replacement: their solutions, pytree of [count, ...].
 
-        Copies of `fallback` where the archive is empty. Consumes `key`.
+        Copies of `fallback`, one solution, where the archive is empty. Consumes `key`.
         """
         # The r-th filled cell is where the running count first exceeds r: uniform without a list
         # of filled cells, whose length would not be static.
@@ -284,9 +328,11 @@ class GridArchive(MapElitesRepertoire):
     def columns(self) -> dict[str, jax.Array]:
         """Return arrays over all cells by the names that files hold.
 
-        They are ``solution``, ``objective``, ``measures``, for a soft archive ``threshold``, and
-        every extra. Raises InputError if the solutions are no single array [C, P], or an extra
-        takes a column's name.
+        They are ``solution`` float [C, P], ``objective`` float [C], ``measures`` float [C, M], for
+        a soft archive ``threshold`` float [C], and every extra [C, ...].
+
+        Raises:
+            InputError: the solutions are no single array [C, P], or an extra takes a column's name.
         """
         if not hasattr(self.genotypes, "shape"):
             raise InputError("only an archive whose solutions are one array [C, P] can be exported")
@@ -302,9 +348,12 @@ class GridArchive(MapElitesRepertoire):
         return {**columns, **self.extra_scores}
 
     def elites(self) -> dict[str, np.ndarray]:
-        """Return the filled cells as numpy arrays with a leading axis of elites.
+        """Return the filled cells as numpy arrays, with an axis of n elites in place of C.
 
-        They are ``index`` (int64, the cells) and the `columns`: what a run's archive.npz holds.
+        They are ``index`` (int64 [n], the cells) and the `columns`: what a run's archive.npz holds.
+
+        Raises:
+            InputError: as for `columns`.
         """
         index = np.flatnonzero(self.filled)
         columns = {name: np.asarray(column)[index] for name, column in self.columns().items()}

@@ -322,10 +322,10 @@ def spread(cells: np.ndarray, first: int) -> Iterator[int]:
 def human_layout(domain: Domain) -> np.ndarray:
     """Draw what people design for `domain` at its size (int8 [H, W]; appendix D.2).
 
-    Raises InputError if nobody designs layouts of this domain by hand, or the size is too small.
+    Raises InputError if there is no hand-made design for this domain, or the size is too small.
     """
     if domain.human is None:
-        raise InputError(f"nobody designs layouts of {domain.name} by hand: choose another domain")
+        raise InputError(f"{domain.name} has no hand-made design: choose another domain")
     return domain.human()
 
 
@@ -344,7 +344,7 @@ def repeat(inside: Array, domain: Domain) -> np.ndarray:
     height, width = domain.generated_shape
     if min(height, width) < 1 or inside.size == 0:
         rows, cols = domain.shape
-        raise InputError(f"{rows} x {cols} leaves no room inside the frame: ask for more")
+        raise InputError(f"{rows} x {cols} leaves no room inside the frame: give a larger size")
     copies = -(-height // inside.shape[0]), -(-width // inside.shape[1])  # rounded up
     return np.tile(np.asarray(inside), copies)[:height, :width]
 

@@ -41,7 +41,7 @@ def parse_seeds(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
     if not numbers or min(numbers) < 0 or max(numbers) > LARGEST_SEED:
         raise InputError(f"seeds {text!r}: write 10 for ten seeds, 3,5,9 for these, 7, for one")
     if len(set(numbers)) < len(numbers):
-        raise InputError(f"seeds {text!r} names a seed twice, which tells nothing new")
+        raise InputError(f"seeds {text!r} names a seed twice: name each once")
     if "," in text:
         return tuple(numbers)
     if not 1 <= numbers[0] <= _MOST_SEEDS:
@@ -101,7 +101,7 @@ def keep_from(
                 cells = _read_cells(drawing, domain, symbols)
             continue
         if symbols is None:
-            raise InputError(f"keep {part}: there is no plan here to keep it of: give --plan FILE")
+            raise InputError(f"keep {part}: that is of a plan: give --plan FILE")
         if found := rectangle(part, symbols.shape):
             cells[found] = symbols[found]
             continue

@@ -57,7 +57,7 @@ class Page:
     facts: Mapping[str, Any] = field(default_factory=dict)  # as `--json` writes them
 
     def save(self, path: str | Path) -> Path:
-        """Write the page as one file.
+        """Write the page as one file at `path`, which is returned.
 
         Raises InputError if the place cannot be written to.
         """

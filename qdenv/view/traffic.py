@@ -192,6 +192,7 @@ def draw_map(
     axes.set_title(title)
     axes.spines[:].set_visible(True)
     axes.set(xlabel="column", ylabel="row")
+    axes.yaxis.get_major_locator().set_params(integer=True)
     assert axes.figure is not None
     # The bar's tip says that there is more.
     extend = "max" if values.max() > top else "neither"

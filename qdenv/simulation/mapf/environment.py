@@ -42,7 +42,7 @@ class EnvironmentState(NamedTuple):
     fleet: FleetState  # the robots, as the simulator knows them
     goal: jax.Array  # int32 [2, A], cells of the current and of the next goal
     time: jax.Array  # int32, steps so far
-    seed: jax.Array  # uint32, of all that is drawn
+    seed: jax.Array  # uint32 [], of all that is drawn
     layout: jax.Array  # int32, which of the environment's layouts
 
     @property
@@ -63,7 +63,7 @@ class Observation(NamedTuple):
     goal: jax.Array  # int32 [A], cells
     next_goal: jax.Array  # int32 [A], cells
     remaining_service: jax.Array  # int32 [A], timesteps
-    time: jax.Array  # int32
+    time: jax.Array  # int32 [], steps so far
 
 
 class Timestep(NamedTuple):
@@ -87,7 +87,11 @@ def observe_plainly(state: EnvironmentState) -> Observation:
 
 
 class Environment:
-    """A fleet of `agents` robots (A) on a layout, or one of B; the last step is at `timesteps`."""
+    """A fleet of `agents` robots (A) on a layout, or one of B; the last step is at `timesteps`.
+
+    Actions are int32 [A], 0 right, 1 left, 2 down, 3 up, 4 wait. One that breaks a rule of movement
+    becomes a wait, and so does every other number.
+    """
 
     layout: np.ndarray  # int8 [H, W] or [B, H, W]
     free: np.ndarray  # bool, as `layout`: cells robots may drive on
@@ -128,7 +132,15 @@ class Environment:
         return World(self._traversable[layout], goals, distance, jnp.bool_(True), margin=0)
 
     def reset(self, key: jax.Array, layout: Array | int = 0) -> tuple[EnvironmentState, Timestep]:
-        """Begin a run on the layout of this number; the key is consumed: starts and goals."""
+        """Begin a run; traceable.
+
+        Args:
+            key: [], consumed: it decides starts and goals.
+            layout: int32 [], which of the layouts.
+
+        Returns:
+            the state, and its observation in a `Timestep` without rewards.
+        """
         state = self._begin(chance.seed_of(key), jnp.asarray(layout, jnp.int32))
         nothing, last = jnp.zeros((self.agents,), jnp.float32), state.time >= self.timesteps
         return state, Timestep(self._observe(state), nothing, ~self._everyone, last)
@@ -139,9 +151,14 @@ class Environment:
         return EnvironmentState(fleet, world.goals.cells[fleet.goal], jnp.int32(0), seed, layout)
 
     def step(self, state: EnvironmentState, actions: Array) -> tuple[EnvironmentState, Timestep]:
-        """Drive all robots by one step.
+        """Drive all robots by one step; traceable.
 
-        Actions are int32 [A], 0 right, 1 left, 2 down, 3 up, 4 wait; every other number waits, too.
+        Args:
+            state: from `reset` or the step before.
+            actions: int32 [A].
+
+        Returns:
+            the next state, and observation, rewards and refusals.
         """
         fleet, seed, world = state.fleet, state.seed, self._world(state.layout)
         ahead = self.targets(fleet.position, jnp.asarray(actions), state.layout)
@@ -163,7 +180,16 @@ class Environment:
     def targets(
         self, position: jax.Array, actions: jax.Array, layout: Array | int = 0
     ) -> jax.Array:
-        """Find the cells that actions lead to where no agent is in the way (int32 [A])."""
+        """Find the cells that actions lead to where no agent is in the way.
+
+        Args:
+            position: int32 [A], cells.
+            actions: int32 [A].
+            layout: int32 [], which of the layouts.
+
+        Returns:
+            cells, int32 [A].
+        """
         rows, cols = self.free.shape[-2:]
         steps = jnp.array([*MOVES, (0, 0)], jnp.int32)
         known = (actions >= 0) & (actions < self.actions)

@@ -18,7 +18,10 @@ GoalOdds = Literal["endpoints", "stations"]
 
 
 def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
-    """Make every cell that holds `symbol` a goal, with a `stay` of timesteps after arriving."""
+    """Make every cell that holds `symbol`, of the alphabet `tiles`, a goal.
+
+    Agents spend `stay` timesteps on the goal after arriving.
+    """
     return Goal(
         lambda layout: of_tiles(layout, symbol, tiles).astype(np.float32), stay, f"{symbol!r}"
     )
@@ -29,8 +32,9 @@ def beside_goal(
 ) -> Goal:
     """Make every `symbol` cell beside a `station` a goal.
 
-    Agents spend `stay` timesteps on the goal after arriving. The goals are alike, or with the
-    `odds` "stations" each counts once per station at its four sides.
+    Both are symbols of the alphabet `tiles`. Agents spend `stay` timesteps on the goal after
+    arriving. The goals are alike, or with the `odds` "stations" each counts once per station at its
+    four sides.
     """
 
     def weight(layout: Array) -> Array:

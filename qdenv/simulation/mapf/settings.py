@@ -34,10 +34,10 @@ class FleetConfig(Ranged):
 
     # number of robots, or the largest where `simulate` takes fewer
     agents: PositiveInt = 200
-    timesteps: PositiveInt = 1000  # how long a simulation lasts, T
-    # timesteps planned ahead without conflict (w), at most what the planner can do
+    timesteps: PositiveInt = 1000  # length of a simulation, T in the paper
+    # timesteps planned ahead without conflict, at most what the planner can do
     window: PositiveInt = 10
-    horizon: PositiveInt = 5  # timesteps driven before planning again, the replanning period (h)
+    horizon: PositiveInt = 5  # timesteps driven before planning again, the replanning period
     # settings record of the planner; its type says which one of `PLANNERS`
     planner: Any = field(default_factory=lambda: LOW)
     stop_when_congested: bool = True  # end the run at the first congested window

@@ -31,7 +31,7 @@ function growthNote(row) {
   const {steps, differing: odd} = facts.growth;
   if (steps === 0) return ["This run searched the tiles themselves: nothing grew.", ""];
   if (!state.grownAt.has(row)) {
-    return [`Here are ${state.grownAt.size} of ${facts.elites} growths, not this one. For all: `, facts.enlarge];
+    return [`The growth of this one is not in the page, which has ${state.grownAt.size} of ${facts.elites}. For all: `, facts.enlarge];
   }
   return [odd[row] ? `Grown again, it ended otherwise than in the run, in ${odd[row]} cells.` : "", ""];
 }

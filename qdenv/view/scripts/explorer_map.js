@@ -3,6 +3,8 @@
 const FONT = {family: "system-ui, -apple-system, Segoe UI, Arial, sans-serif", size: 12, color: "#222"};
 const EMPTY = "#f2f2f2"; // cells without an elite
 const OUTLIERS = 0.02; // share of the elites at either end
+const FEW = 60; // elites that are drawn as squares one can see, however small their cells are
+const SQUARE = 9; // pixels
 
 /** Run the library that draws the map. As a file of its own it is read beside all else. */
 async function loadPlotly() {
@@ -76,19 +78,38 @@ function colourBar(column) {
   return {thickness: 14, outlinewidth: 0, tickformat: form, ypad: 0, xpad: 8};
 }
 
+/** The elites as squares, where there are few. */
+function squares() {
+  if (facts.elites > FEW) return [];
+  const middle = facts.axes.map(middles);
+  const [x, y] = [0, 1].map((k) => Array.from({length: facts.elites}, (_, row) => middle[k]?.[placeOf(row)[k]] ?? 0));
+  return [{type: "scatter", mode: "markers", x, y, hoverinfo: "skip", marker: {symbol: "square", size: SQUARE, ...shading()}}];
+}
+
+/** Colours of the squares. */
+function shading() {
+  const [cmin, cmax] = colourRange(state.colour);
+  return {color: [...state.values[state.colour]], cmin, cmax, colorscale: scale()};
+}
+
+/** The colours, each with its place between 0 and 1. */
+function scale() {
+  return facts.scale.map((colour, k, all) => [k / (all.length - 1), colour]);
+}
+
 /** Draw the map with its axes, in place of the sketch. */
 async function drawMap() {
   const [first, second] = facts.axes;
   const [zmin, zmax] = colourRange(state.colour);
   const trace = {
     type: "heatmap", x: middles(first), y: middles(second), z: gridOf(state.colour), zmin, zmax,
-    colorscale: facts.scale.map((colour, k, all) => [k / (all.length - 1), colour]), hoverinfo: "skip", colorbar: colourBar(state.colour), zsmooth: false,
+    colorscale: scale(), hoverinfo: "skip", colorbar: colourBar(state.colour), zsmooth: false,
   };
   const layout = {
     margin: MARGIN, font: FONT, plot_bgcolor: EMPTY, paper_bgcolor: "#fff",
     xaxis: axisOf(first), yaxis: axisOf(second), dragmode: "zoom",
   };
-  await Plotly.newPlot("plot", [trace], layout, {displayModeBar: false, responsive: true, doubleClick: "reset"});
+  await Plotly.newPlot("plot", [trace, ...squares()], layout, {displayModeBar: false, responsive: true, doubleClick: "reset"});
   byId("plot").on("plotly_afterplot", placeMarkers);
   byId("sketch").remove();
 }
@@ -100,5 +121,6 @@ async function recolour(column) {
   showStatus();
   if (!isPlotted()) return drawSketch();
   const [zmin, zmax] = colourRange(column);
-  await Plotly.restyle("plot", {z: [gridOf(column)], zmin, zmax, colorbar: colourBar(column)});
+  await Plotly.restyle("plot", {z: [gridOf(column)], zmin, zmax, colorbar: colourBar(column)}, [0]);
+  if (facts.elites <= FEW) await Plotly.restyle("plot", {marker: [{symbol: "square", size: SQUARE, ...shading()}]}, [1]);
 }

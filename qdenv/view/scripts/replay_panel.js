@@ -43,7 +43,7 @@ function showEpisode(film, time) {
 function showFollowed(film, agent, now) {
   if (film.headings.length) return;
   byId("nobody").disabled = agent === null;
-  if (agent === null) return say("doing", "Nobody is followed: click a robot, or give its number.");
+  if (agent === null) return say("doing", "No robot is followed: click a robot, or give its number.");
   const time = Math.floor(now);
   const step = Math.ceil(now) - 1;
   const goal = film.goal[time * film.agents + agent];

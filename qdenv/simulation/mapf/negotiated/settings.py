@@ -31,7 +31,10 @@ _Number = Annotated[int, Interval(ge=1, le=_LARGEST)]
 
 @dataclass(frozen=True)
 class NegotiatedConfig(Ranged):
-    """Settings of the negotiated planner."""
+    """Settings of the negotiated planner, whose agents bargain over who gives way.
+
+    After PathFinder, McMurchie and Ebeling 1995, https://doi.org/10.1145/201310.201328.
+    """
 
     lookahead: _Number = 10  # timesteps planned without conflict, at most the simulation's window
     lanes: _Number = 4  # agents that plan against the same reservations in one round
@@ -61,18 +64,24 @@ class NegotiatedConfig(Ranged):
             raise InputError("a negotiated planner needs penalties: give at least one")
 
     def planned_ahead(self, window: int, horizon: int) -> int:
-        """Return the number of timesteps planned without conflict."""
+        """Return the number of timesteps planned without conflict.
+
+        A plan has `window` timesteps, of which `horizon` are driven.
+        """
         return max(horizon, min(self.lookahead, window))
 
     def penalty_costs(self, has_costs: bool) -> np.ndarray:
-        """Return the penalties (int32 [attempts]) in the units of a world with costs or without."""
+        """Return the penalties, int32 [attempts], in the units of a world with or without costs.
+
+        Those are 1/4 of a timestep without, and where a world `has_costs` 1/64 of a move.
+        """
         costs = np.array([round(COST_UNIT * penalty) for penalty in self.penalties], np.int32)
         if has_costs:
             costs = np.minimum(costs * (MOVE_UNIT // COST_UNIT), _MAX_PENALTY)
         return costs
 
     def max_rounds(self, agents: Any) -> Any:
-        """Return the most rounds (float32) of a number of agents, padding not counted.
+        """Return the most rounds (float32) of a number of `agents`, padding not counted.
 
         Padding agents must not change the number of rounds, and so no result.
         """

@@ -16,7 +16,11 @@ Rule = Literal["published", "plain"]
 
 @dataclass(frozen=True)
 class PbsConfig(Ranged):
-    """Priority-based search, window by window."""
+    """Priority-based search, window by window.
+
+    Ma et al. 2019, https://arxiv.org/abs/1812.06356; windows of Li et al. 2021,
+    https://arxiv.org/abs/2005.07371.
+    """
 
     # what becomes of an agent that finds no path past those with precedence over it. "published":
     # it stays where it is, against all reservations, and whoever waits at its start has precedence

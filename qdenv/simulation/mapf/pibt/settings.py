@@ -9,7 +9,10 @@ from qdenv.registry import Entry
 
 @dataclass(frozen=True)
 class PibtConfig(Ranged):
-    """Priority inheritance with backtracking, one timestep at a time."""
+    """Priority inheritance with backtracking, one timestep at a time.
+
+    Okumura et al. 2022, https://arxiv.org/abs/1901.11282.
+    """
 
     # "host" for compiled code in a callback, "xla" for code without a callback, "auto" for the host
     # where jax computes on a CPU. The results are the same.
