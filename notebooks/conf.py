@@ -34,8 +34,8 @@ myst_heading_anchors = 3
 suppress_warnings = ["myst.xref_missing"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
-smartquotes_action = "qe"  # two hyphens begin an option
 napoleon_google_docstring = True
+default_role = "code"  # of `names` in docstrings
 
 
 PACKED = '<script type="application/gzip" id="packed-plotly">'
@@ -74,11 +74,13 @@ def comments_of(record: type) -> dict[str, str]:
     return {name: " ".join(text) for (home, name), text in found.items() if home == record.__name__}
 
 
-def explain_fields(app: Any, what: str, name: str, member: Any, options: Any, lines: Any) -> None:
-    """Add the fields of a record to its documentation."""
+def explain(app: Any, what: str, name: str, member: Any, options: Any, lines: Any) -> None:
+    """Add the fields of a record to its documentation; set options of commands as code."""
     if what == "class":
         lines += [f":param {field}: {text}" for field, text in comments_of(member).items()]
         lines += [""]
+    option = re.compile(r"(`+[^`]*`+)|(?<![\w-])(--[a-z][\w-]*)")
+    lines[:] = [option.sub(lambda one: one[1] or f"`{one[2]}`", line) for line in lines]
 
 
 def write_python() -> str:
@@ -172,5 +174,5 @@ def setup(app: Any) -> None:
     """Write the reference before the pages are read, and the live pages at the end."""
     logging.getLogger("jax").setLevel("WARNING")  # it tells which devices there are not
     app.connect("builder-inited", write_reference)
-    app.connect("autodoc-process-docstring", explain_fields)
+    app.connect("autodoc-process-docstring", explain)
     app.connect("build-finished", write_live)
