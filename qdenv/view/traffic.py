@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import PercentFormatter
 
@@ -192,7 +193,7 @@ def draw_map(
     axes.set_title(title)
     axes.spines[:].set_visible(True)
     axes.set(xlabel="column", ylabel="row")
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     assert axes.figure is not None
     # The bar's tip says that there is more.
     extend = "max" if values.max() > top else "neither"
