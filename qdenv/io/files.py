@@ -163,11 +163,11 @@ def locked(folder: Path) -> Iterator[None]:
     # Here: it imports asyncio, a good part of what `check` takes altogether.
     import filelock
 
-    lock = filelock.FileLock(folder / LOCK, blocking=False)
+    lock = filelock.FileLock(folder / LOCK)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         refuse_links(folder)
-        lock.acquire()
+        lock.acquire(blocking=False)
     except filelock.Timeout:
         raise InputError(
             f"{folder}: another process is at work on this run: wait for it, or end it first"
