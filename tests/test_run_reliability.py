@@ -156,8 +156,12 @@ def test_more_memory_than_there_is_is_refused_before_a_folder_exists(tmp_path, m
 
 
 def test_single_precision_is_a_condition(tmp_path):
-    with jax.enable_x64(True), pytest.raises(InputError, match="JAX_ENABLE_X64"):
-        loop.train(SHORT, tmp_path / "run", progress=False)
+    jax.config.update("jax_enable_x64", True)  # `jax.enable_x64` is newer than the lowest version
+    try:
+        with pytest.raises(InputError, match="JAX_ENABLE_X64"):
+            loop.train(SHORT, tmp_path / "run", progress=False)
+    finally:
+        jax.config.update("jax_enable_x64", False)
     assert not list(tmp_path.iterdir())
 
 
