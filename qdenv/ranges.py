@@ -31,6 +31,7 @@ FiniteFloat = Annotated[float, Interval(gt=-math.inf, lt=math.inf)]
 PositiveFloat = Annotated[float, Interval(gt=0, lt=math.inf)]
 NonNegativeFloat = Annotated[float, Interval(ge=0, lt=math.inf)]
 Stay = Annotated[int, Interval(ge=0, le=1000)]  # timesteps, as many as all planners understand
+TaskRate = Annotated[float, Interval(ge=0, le=500)]  # tasks per timestep
 Share = Annotated[float, Interval(ge=0, le=1)]
 Seed = Annotated[int, Interval(ge=0, le=LARGEST_SEED)]
 _type_hints = cache(get_type_hints)

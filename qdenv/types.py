@@ -212,6 +212,8 @@ class TaskRule(NamedTuple):
     tiles: str  # the alphabet of the layouts
     traversable: str  # symbols agents may drive on
     cycle: tuple[Goal, ...]  # kinds of goal in the order in which every agent visits them
+    # tasks that arrive per timestep, in orders of one of each kind; 0 where work never runs out
+    rate: float = 0.0
 
 
 class Traffic(NamedTuple):
@@ -225,6 +227,10 @@ class Traffic(NamedTuple):
     waiting: Array  # float32, share of agent-steps without a move
     path_length: Array  # float32, mean number of moves per finished task
     congested_at: Array | int = 0  # int32, the end of the first such window; 0 for none
+    # Where tasks arrive at a rate: float32, share of agent-steps without an order; float32, mean
+    # number of timesteps that an order waited for an agent
+    idle: Array | None = None
+    order_wait: Array | None = None
 
 
 class Measure(NamedTuple):

@@ -178,3 +178,26 @@ def test_facts_of_a_plan_are_its_tasks_and_comparisons_have_those_of_the_first(h
     Path("small.txt").write_text("w.e@\n..e@\n")
     with pytest.raises(InputError, match="demand has 7 x 10 numbers, the plan 2 x 4 cells"):
         compare(["orders/plan.txt", "small.txt"], agents=2)
+
+
+def test_tasks_that_arrive_at_a_rate_leave_robots_idle(hall, capsys):
+    command = ["simulate", "plan.txt", "--agents", "3", "--timesteps", "400", "--seeds", "4"]
+    assert run([*command, "--task-rate", "0.1", "--paths", "p.csv", "--json", "f.json"]) == 0
+    facts = json.loads(Path("f.json").read_text())
+    assert facts["valid"] is True and facts["settings"]["tasks"] == {"task_rate": 0.1}
+    assert facts["mean_of_all"] == pytest.approx(0.1, rel=0.25)
+    assert 0.3 < facts["idle_share"] < 0.9 and 2 < facts["order_wait"] < 20
+    said = capsys.readouterr().out
+    assert "of the robots' time is without one, one waits" in said
+    assert f"flows: without an order agents spend {facts['idle_share']:.0%} of their time" in said
+    assert Path("p.csv").read_text().splitlines()[1].endswith(",-1,-1,0")
+    # More tasks than the robots can do: they move what they always do, and orders wait for ever.
+    short = {"agents": 3, "timesteps": 400, "seeds": 4}
+    closed, crowded = (
+        simulate("plan.txt", **short, stop=False, tasks={"task_rate": rate}) for rate in (0.0, 9.0)
+    )
+    assert crowded["mean_of_all"] > 0.9 * closed["mean_of_all"]
+    assert crowded["idle_share"] < 0.03 and crowded["order_wait"] > 100
+    assert "idle_share" not in closed
+    Path("plan.toml").write_text("task_rate = 0.1\n")
+    assert simulate("plan.txt", **short)["mean_of_all"] == facts["mean_of_all"]

@@ -6,6 +6,7 @@ from importlib import util
 import numpy as np
 import pytest
 from browser import opened
+from halls import ell
 from small_warehouse import ROWS, TILES
 
 import qdenv
@@ -14,7 +15,7 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.guidance import crisscross
 from qdenv.simulation.mapf.settings import FleetConfig
-from qdenv.study.plans import Plan, read_plan
+from qdenv.study.plans import Plan, read_plan, with_tasks
 from qdenv.study.recordings import record_fleet, trace_agent
 from qdenv.types import InputError
 from qdenv.view.guidance import pack_arrows, preferences
@@ -96,6 +97,20 @@ def test_stays_at_goals_are_service_not_waiting(own_layout, tmp_path):
         check_film(page, motion, traffic)
         page.evaluate(f"goTo({step + 1}), follow({agent})")
         assert f"Robot {agent}, being served, at row" in page.inner_text("#doing")
+
+
+def test_robots_without_an_order_have_no_goal(tmp_path):
+    (tmp_path / "hall.txt").write_text("\n".join(ell()))
+    plan = with_tasks(read_plan(tmp_path / "hall.txt"), {"task_rate": 0.5})
+    motion, traffic = record_fleet(plan, FleetConfig(20, 60))
+    path = make_replay(plan, motion, traffic).save(tmp_path / "idle.html")
+    agent = int((motion.goals[40] < 0).argmax())
+    assert motion.goals[40, agent] < 0 and traffic.finished.sum() > 3
+    with opened(path) as page:
+        page.wait_for_function(SHOWN)
+        check_film(page, motion._replace(goals=motion.goals & 0xFFFF), traffic)
+        page.evaluate(f"byId('goals').checked = true, goTo(40), follow({agent})")
+        assert "its goal" not in page.inner_text("#doing")
 
 
 def test_numbers_are_those_of_the_run_at_every_timestep(busy, shown):

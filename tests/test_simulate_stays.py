@@ -1,4 +1,4 @@
-"""Stays that differ from cell to cell within one kind of goal: for all planners and backends."""
+"""Stays that differ from cell to cell, and tasks that arrive at a rate, in all planners."""
 
 import functools
 from dataclasses import replace
@@ -10,7 +10,7 @@ import pytest
 from fleet_runs import programs
 
 from qdenv.grid import of_tiles, parse
-from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf import chance, fleet
 from qdenv.simulation.mapf.audit import audit
 from qdenv.simulation.mapf.environment import WAIT, Environment
 from qdenv.simulation.mapf.goals import tile_goal
@@ -42,19 +42,19 @@ FLOOR = parse(["i.......o", ".e.e.e.e.", ".........", ".e.e.e.e.", "o.......i"],
 
 
 @functools.cache
-def compiled(settings):
+def compiled(settings, rate):
     """Compile runs of up to nine robots; every test has a layout of the same shape."""
     config = fleet.FleetConfig(9, TIMESTEPS, planner=settings, stop_when_congested=False)
-    return programs(TASKS, config)
+    return programs(TASKS._replace(rate=rate), config)
 
 
-def outcomes(planner, layout, agents, seed=0):
+def outcomes(planner, layout, agents, seed=0, rate=0.0):
     """Simulate with each backend of a planner, audited."""
     for settings in PLANNERS[planner]:
-        prepare, run = compiled(settings)
+        prepare, run = compiled(settings, rate)
         outcome = run(prepare(jnp.asarray(layout)), jax.random.key(seed), jnp.int32(agents))
         traffic, recording = jax.tree.map(np.asarray, outcome)
-        assert audit(layout, TASKS, recording, traffic) == []
+        assert audit(layout, TASKS._replace(rate=rate), recording, traffic) == []
         yield traffic, recording
 
 
@@ -81,6 +81,41 @@ def test_backends_agree_on_stays_of_their_own(planner):
         left, goals = first[1].remaining_service[1:], first[1].goals[:-1]
         for symbol, stay in (("i", SHORT), ("o", LONG), ("e", 1)):
             assert left[(FLOOR.reshape(-1) == TILES.index(symbol))[goals]].max() == stay
+
+
+@pytest.mark.parametrize("planner", PLANNERS)
+def test_backends_hand_out_the_same_orders_and_idle_robots_stand(planner):
+    rate = 0.16
+    for seed in range(2):
+        first, *others = outcomes(planner, FLOOR, 9, seed, rate)
+        for other in others:
+            jax.tree.map(np.testing.assert_array_equal, first, other)
+        traffic, tape = first
+        idle = tape.goals[:-1] < 0
+        assert traffic.finished.sum() == pytest.approx(rate * TIMESTEPS, rel=0.5)
+        assert 0.2 < traffic.idle < 0.8 and idle[0].all() and traffic.order_wait < 20
+        assert not traffic.congested, "who is idle is not stuck"
+        still = tape.positions[1:] == tape.positions[:-1]
+        assert still[idle].mean() > 0.7
+    rule = TASKS._replace(rate=rate)
+    for change, words in (
+        ({"goals": np.where(tape.goals < 0, 9, tape.goals)}, "goal of another kind"),
+        ({"positions": np.where(idle.any(), tape.positions[::-1], 0)}, "credited"),
+        ({"finished": tape.finished | idle}, "credited wrongly"),
+    ):
+        broken = audit(FLOOR, rule, tape._replace(**change), traffic)
+        assert any(words in one for one in broken), (words, broken)
+    assert any("another kind" in one for one in audit(FLOOR, TASKS, tape, traffic))
+    broken = audit(FLOOR, rule, tape, traffic._replace(idle=np.float32(0.1)))
+    assert broken == ["the share of time without an order is miscounted"]
+
+
+def test_numbers_of_events_have_the_odds_of_poisson():
+    table = chance.poisson(1.3)
+    draws = chance.draw_on_host(5, np.arange(40_000)) >> (32 - chance.CHANCE_BITS)
+    counts = np.searchsorted(table, draws, side="right")
+    assert counts.mean() == pytest.approx(1.3, abs=0.03)
+    assert counts.var() == pytest.approx(1.3, abs=0.05)
 
 
 def test_a_station_that_serves_longer_than_a_planner_knows_makes_no_run():

@@ -17,7 +17,7 @@ from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.lazy import jax
-from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveInt, Stay, check_range
+from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveInt, Stay, TaskRate, check_range
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import BY_SHELF, share_shelves, station_goal, tile_goal, weigh
 from qdenv.simulation.mapf.settings import FleetConfig
@@ -52,6 +52,9 @@ class HallConfig(DomainConfig):
     drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
     # shares of the tasks by the signs of stations, as i=1,o=3; all stations are alike where empty
     shares: str = ""
+    # tasks that arrive per timestep, two to an order; robots without one wait. Work never runs out
+    # where it is 0
+    task_rate: TaskRate = 0.0
     # No option of its own: a file or zones become this map.
     # rows of numbers, one a cell: how likely an endpoint there is drawn as a goal. They belong to
     # places: shelves may move, demand does not. Or "shelves": all of these are alike, however many
@@ -87,11 +90,12 @@ def _by_station(text: str, name: str) -> dict[str, float]:
     return numbers
 
 
-def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal) -> Domain:
+def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: float = 0.0) -> Domain:
     """Make the domain of shelves, and `endpoints` that robots carry goods from, to `stations`.
 
     Its alphabet `tiles` begins with `GENERATED`; of the other tiles robots drive on all but walls,
-    and none has a place of its own. `config` is a `HallConfig` or has its fields.
+    and none has a place of its own. `config` is a `HallConfig` or has its fields; `rate` as in
+    `TaskRule`.
     """
     drivable = "".join(tile for tile in tiles if tile not in _OBSTACLES)
     shape, kinds = (config.rows, config.cols), len(GENERATED)
@@ -122,7 +126,7 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal) -> Domain:
         margin=(0, 0),
         frame=lambda area: area,
         rules=rules,
-        simulator=fleet_simulator(TaskRule(tiles, drivable, cycle), config.fleet),
+        simulator=fleet_simulator(TaskRule(tiles, drivable, cycle, rate), config.fleet),
         objective=throughput,
         objective_name=THROUGHPUT,
         measures=(
@@ -143,7 +147,8 @@ def hall(config: HallConfig) -> Domain:
         endpoints = weigh(endpoints, config.demand, shape)
     times = {sign: int(time) for sign, time in _by_station(config.drop, "drop").items()}
     shares = _by_station(config.shares, "shares")
-    domain = storage(config, _TILES, endpoints, station_goal(_STATIONS, _TILES, times, shares))
+    stations = station_goal(_STATIONS, _TILES, times, shares)
+    domain = storage(config, _TILES, endpoints, stations, config.task_rate)
     sides = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,2})", config.rack)
     if config.rack and not sides:
         raise InputError(f"rack {config.rack!r}: give rows and columns like 2x6")
@@ -160,7 +165,7 @@ def hall(config: HallConfig) -> Domain:
         rules=rules,
         stays=_TILES[len(GENERATED) :],
         meanings=_MEANINGS,
-        task_settings=("pick", "drop", "shares", "demand"),
+        task_settings=("pick", "drop", "shares", "task_rate", "demand"),
         rule_settings=("aisle", "rack"),
     )
 

@@ -10,6 +10,7 @@ import tyro
 from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.ranges import TaskRate
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal, weigh
 from qdenv.simulation.mapf.settings import FleetConfig
@@ -31,6 +32,8 @@ class MapConfig(DomainConfig):
     """The numbers of a map."""
 
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
+    # tasks that arrive per timestep; robots without one wait. Work never runs out where it is 0
+    task_rate: TaskRate = 0.0
     # rows of numbers, one a cell: how likely it is drawn as a goal; empty where all are alike
     demand: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
 
@@ -43,7 +46,8 @@ def make_map(config: MapConfig) -> Domain:
 
     # Robots go from one goal to the next, as in the League of Robot Runners.
     goal, area = tile_goal(".", _TILES)._replace(name="free cell"), config.rows * config.cols
-    tasks = TaskRule(_TILES, ".", (weigh(goal, config.demand, (config.rows, config.cols)),))
+    cycle = (weigh(goal, config.demand, (config.rows, config.cols)),)
+    tasks = TaskRule(_TILES, ".", cycle, config.task_rate)
     return Domain(
         tiles=_TILES,
         generated=_TILES,
@@ -59,7 +63,7 @@ def make_map(config: MapConfig) -> Domain:
         ),
         objective_name=THROUGHPUT,
         meanings=_MEANINGS,
-        task_settings=("demand",),
+        task_settings=("task_rate", "demand"),
         config=config,
     )
 

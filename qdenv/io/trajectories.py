@@ -65,13 +65,13 @@ def write_paths(
 ) -> None:
     """Write a run by the ending of its file: JSON for PlanViz, else CSV with a line a robot.
 
-    The lines also hold the goal that the robot heads for (goal_row, goal_column), and 1 under
-    "finished" where it has just finished a task.
+    The lines also hold the goal that the robot heads for (goal_row, goal_column; -1 without an
+    order), and 1 under "finished" where it has just finished a task.
 
     Args:
         path: file to write.
         positions: int [T + 1, A], cells (row * width + column) before each step and at the end.
-        goals: int [T + 1, A], the cells that agents head for at these times.
+        goals: int [T + 1, A], the cells that agents head for at these times; -1 without an order.
         finished: bool [T, A], whether the step finished the task.
         width: columns of the layout.
 
@@ -84,7 +84,9 @@ def write_paths(
         return
     times, robots = np.indices(positions.shape).reshape(2, -1)
     done = np.concatenate([np.zeros_like(finished[:1]), finished]).astype(int)
-    cells, ends = (np.divmod(part.reshape(-1), width) for part in (positions, goals))
+    cells, ends = (
+        np.where(part < 0, -1, np.divmod(part, width)).reshape(2, -1) for part in (positions, goals)
+    )
     columns = np.stack([times, robots, *cells, *ends, done.reshape(-1)], axis=1)
     write_csv(path, (*HEAD, *_GOALS), columns.tolist())
 
@@ -108,7 +110,11 @@ def planviz(
     for agent in range(positions.shape[1]):
         ends = [int(step) + 1 for step in np.flatnonzero(finished[:, agent])]
         schedule = []
-        for since, end in zip([0, *ends], [*ends, None], strict=True):
+        for last, end in zip([0, *ends], [*ends, None], strict=True):
+            ahead = np.flatnonzero(goals[last:, agent] >= 0)
+            if not len(ahead):  # no order any more
+                break
+            since = last + int(ahead[0])
             if end is not None:
                 events.append([end, agent, len(tasks), 1])
             schedule.append(f"{since}:{len(tasks)}")

@@ -124,6 +124,12 @@ def _numbers(facts: Mapping[str, Any]) -> list[str]:
     band = f" +- {error:.3f} (standard error)" if np.isfinite(error) else ""
     hour = f", {facts['tasks_per_hour']:,.0f} tasks per hour" if "tasks_per_hour" in facts else ""
     lines.append(f"throughput   {facts['mean_of_all']:.3f}{band} tasks per timestep{hour}")
+    if "idle_share" in facts:
+        idle, wait = facts["idle_share"], facts["order_wait"]
+        lines.append(
+            f"orders       {idle:.0%} of the robots' time is without one, one waits {wait:.1f} "
+            "timesteps for a robot"
+        )
     smooth, rate = facts["mean_throughput"], facts["success_rate"]
     if rate < 1:
         others = "" if smooth is None else f"; the others move {smooth:.3f}"

@@ -116,7 +116,7 @@ def observed(evaluation: Evaluation) -> dict[str, Array]:
         name: leaf
         for name, leaf in evaluation.runs._asdict().items()
         # Where congestion ends a run, congested_at equals end_timestep.
-        if len(leaf.shape) == 2 and name != "congested_at"
+        if leaf is not None and len(leaf.shape) == 2 and name != "congested_at"
     }
     for name in ("unrepaired", "repaired", "similarity", "status"):
         columns[name] = getattr(evaluation, name)

@@ -56,13 +56,19 @@ all are planned again drives on, and arrives there after the next planning.
     tasks: stay 2 on 1..2, finished at 3 8
     .a..  a...  a...  a...  .a..  ..a.  ...a  ...a  ...a
 
+**Orders.** Where tasks arrive at a rate, an order is a task of each kind in turn. How many arrive
+in a timestep is drawn (Poisson). Agents begin without one, where they stand. Whoever finishes an
+order begins the next that waits, else drives towards the goal that it would have had, waits near
+it, and gives way. Orders that wait are handed out by lot when all are planned again, with new
+goals.
+
 **Throughput** is the number of finished tasks (one leg each) divided by the timesteps T of
 the run, also where it ended early.
 
 **Jams.** All agents are planned again every h = 5 timesteps (the horizon). After each such window
 an agent is stuck if its cell was the same at the window's first five timesteps (the last move is
-not looked at) and it was not serving. If more than half of the agents are stuck, the run is
-congested and ends, or goes on where that is configured.
+not looked at), it was not serving and had an order. If more than half of the agents are stuck, the
+run is congested and ends, or goes on where that is configured.
 
     jam: two of three agents are stuck
     ab.c  ab.c  abc.  ab.c  ab.c  .abc

@@ -30,7 +30,7 @@ class Maps(NamedTuple):
     """What happened on each cell of a layout; of one run, or the mean of several.
 
     Waiting is a timestep without a move anywhere but on the agent's own goal: time that is spent
-    being served there is work.
+    being served there is work. An agent without an order does not wait.
     """
 
     usage: np.ndarray  # [H, W], agents on the cell, averaged over time
@@ -66,7 +66,7 @@ def map_run(shape: tuple[int, int], run: Traffic, recording: Recording) -> Maps:
 
     return Maps(
         usage=count(after.reshape(-1)),
-        waiting=count(after[still & (after != goals)]),
+        waiting=count(after[still & (after != goals) & (goals >= 0)]),
         visits=count(np.concatenate([positions[0], after[~still]])),
         # Per timestep of all of T, as throughput is: a run that congests finishes nothing more.
         finished=count(after[finished]) * end / len(np.asarray(run.finished)),
@@ -150,7 +150,8 @@ class Motion(NamedTuple):
     """What moved in one run of E timesteps with A agents; cells are ``row * columns + column``."""
 
     positions: np.ndarray  # int32 [E + 1, A]
-    goals: np.ndarray  # int32 [E + 1, A], the cell each agent is heading for at each timestep
+    # int32 [E + 1, A], the cell each agent is heading for at each timestep; -1 without an order
+    goals: np.ndarray
     finished: np.ndarray  # bool [E, A], tasks finished by each step
     congested: tuple[tuple[int, int], ...]  # (begin, end) of each stretch of congested windows
     timesteps: int  # T, of which E are driven
@@ -166,9 +167,10 @@ class Motion(NamedTuple):
 
     @property
     def waits(self) -> np.ndarray:
-        """Which agents wait in which step (bool [E, A]): no move, anywhere but on the own goal."""
+        """Which agents wait in which step (bool [E, A]), as in `Maps`."""
         after = self.positions[1:]
-        return (after == self.positions[:-1]) & (after != self.goals[:-1])
+        still = after == self.positions[:-1]
+        return still & (after != self.goals[:-1]) & (self.goals[:-1] >= 0)
 
 
 def check_run(agents: int, timesteps: int, seed: int) -> None:
@@ -197,7 +199,8 @@ def record_fleet(
     def read(seed: int, run: Traffic, recording: Recording) -> Motion:
         end = int(run.end_timestep)
         positions = np.asarray(recording.positions)[: end + 1]
-        serving = np.asarray(recording.remaining_service)[: end + 1] > 0
+        goals = np.asarray(recording.goals)[: end + 1]
+        serving = (np.asarray(recording.remaining_service)[: end + 1] > 0) | (goals < 0)
         stretches: list[tuple[int, int]] = []
         for jam in jammed_windows(positions, serving, config.horizon):
             since = jam - config.horizon
@@ -206,7 +209,7 @@ def record_fleet(
             stretches.append((since, jam))
         return Motion(
             positions=positions,
-            goals=np.asarray(recording.goals)[: end + 1],
+            goals=goals,
             finished=np.asarray(recording.finished)[:end],
             congested=tuple(stretches),
             timesteps=config.timesteps,

@@ -42,6 +42,7 @@ _MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copie
 _JAMMED = 0.5  # share of congested runs from which on the layout is
 _PROBES = 2  # runs with another number of agents
 _FEWER, _FAR_FEWER, _MORE = 0.75, (0.5, 0.25), 1.25  # of the agents, those numbers
+_IDLE = 0.05  # share of time without an order from which on there are agents enough
 _GAIN = 0.02  # more throughput than this with fewer agents: past the peak
 
 
@@ -133,7 +134,14 @@ def examine(
     on_runs(study)
     if not verdict:
         return study
-    return study._replace(verdict=judge(point_of(agents, done.runs), probe, most))
+    idle = idle_share(done.runs) or 0.0
+    return study._replace(verdict=judge(point_of(agents, done.runs), probe, most, idle))
+
+
+def idle_share(runs: Sequence[Traffic]) -> float | None:
+    """Average the share of time in which agents have no order; None where work never runs out."""
+    shares = [float(run.idle) for run in runs if run.idle is not None]
+    return float(np.mean(shares)) if shares else None
 
 
 def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
@@ -144,7 +152,7 @@ def point_of(agents: int, runs: Sequence[Traffic]) -> Point:
     return Point(agents, sample.mean, sample.error, len(runs), congested, fading(runs))
 
 
-def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
+def judge(here: Point, probe: Callable[[int], Point], most: int, idle: float = 0.0) -> Verdict:
     """Judge whether a layout takes this many agents, and whether it would take more.
 
     In this order, so that runs are only spent where the verdict hangs on them:
@@ -157,7 +165,8 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
     * *flows*: none of these.
 
     `here` is of the number of agents in question, `probe` simulates another number, of which at
-    most `most` fit the layout.
+    most `most` fit the layout. Agents that have no order for a share of their time (`idle`) that
+    is no chance keep up with the orders: no other number would move more.
     """
     points = [here]
 
@@ -172,6 +181,8 @@ def judge(here: Point, probe: Callable[[int], Point], most: int) -> Verdict:
         return _PAST, f"{here.congested} of {here.runs} runs congested", points
     if here.fading > FADING:
         return _PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time", points
+    if idle > _IDLE:
+        return _FLOWS, f"without an order agents spend {idle:.0%} of their time", points
     worth = 1.0
     if here.agents > 1:
         fewer = at(floor(_FEWER * here.agents))
@@ -213,7 +224,9 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
         runs (seed, throughput, congested, congested_at, end_timestep, finished_tasks),
         mean_throughput (see `Row.throughput`; None where it is none), mean_of_all (over all runs),
         standard_error (of the latter), success_rate, steps_per_task (moves; None where no task is
-        finished), cpu_seconds_per_run, compile_seconds, valid, broken; where it was looked into
+        finished), cpu_seconds_per_run, compile_seconds, valid, broken; where tasks arrive
+        at a rate also idle_share (of the agents' time), order_wait (mean timesteps until an agent
+        has an order); where it was looked into
         also waiting_share (of the agents' time), worst_cells, cells_with_half_of_waiting, verdict,
         verdict_reason, evidence (the numbers of agents that were tried).
     """
@@ -242,6 +255,9 @@ def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:
         "valid": None if broken is None else not broken,
         "broken": broken or [],
     }
+    if (idle := idle_share(done.runs)) is not None:
+        waits = [float(run.order_wait) for run in done.runs if run.order_wait is not None]
+        facts |= {"idle_share": idle, "order_wait": float(np.mean(waits))}
     if maps is not None:
         facts |= {
             "waiting_share": maps.waiting_share,

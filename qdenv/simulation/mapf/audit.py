@@ -43,7 +43,10 @@ def audit(
     moves = (positions[1:] != positions[:-1]).mean()
     if abs(float(traffic.waiting) - (1 - moves)) > 1e-5:
         broken.append("the share of waiting is miscounted")
-    jams = jammed_windows(positions, working, horizon)
+    idle = goals < 0
+    if rule.rate and abs(np.asarray(traffic.idle) - idle[:end].mean()) > 1e-5:
+        broken.append("the share of time without an order is miscounted")
+    jams = jammed_windows(positions, working | idle, horizon)
     if bool(traffic.congested) != bool(jams):
         broken.append(f"jams at {jams}, but congested is {bool(traffic.congested)}")
     elif jams[:1] != [int(traffic.congested_at)][: len(jams)]:
@@ -126,8 +129,9 @@ def replay_tasks(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Work out arrivals, services and finished tasks from positions and goals (int [end + 1, A]).
 
-    A goal is the cell an agent heads for before a step; `credited` (bool [end, A]) are the tasks
-    that the simulator says the step finished. The service rule is written a second time here on
+    A goal is the cell an agent heads for before a step, -1 while it has no order, which ends with
+    the last kind of goal; `credited` (bool [end, A]) are the tasks that the simulator says the step
+    finished. The service rule is written a second time here on
     purpose: the audit trusts no code it checks. All agents are planned again every `horizon`
     timesteps. Returns finished bool [end, A], working bool [end + 1, A] (serving after the step),
     messages.
@@ -142,7 +146,8 @@ def replay_tasks(
     for time in range(end):
         legs[:] = 0 if time % horizon == 0 else legs
         goal, cell = goals[time], positions[time + 1]
-        proper = goal_cells[kind, goal]
+        idle = goal < 0
+        proper = np.where(idle, bool(rule.rate) & (kind == 0), goal_cells[kind, goal])
         if not proper.all():
             broken.append(f"t={time}: agent {np.argmin(proper)} heads for a goal of another kind")
         serving = remaining > 0
@@ -159,8 +164,9 @@ def replay_tasks(
         legs += done
         kind = np.where(done, (kind + 1) % len(stays), kind)
         changed = goals[time + 1] != goal
-        if (changed & ~done).any():
-            broken.append(f"t={time}: agent {np.argmax(changed & ~done)} skips its goal")
+        skips = changed & ~done & ~idle
+        if skips.any():
+            broken.append(f"t={time}: agent {np.argmax(skips)} skips its goal")
     wrong = finished != credited
     if wrong.any():
         broken.append(_at("has a task credited wrongly", wrong))

@@ -26,7 +26,7 @@ _SECOND: Any = np.uint32(0x846CA68B)
 CHANCE_BITS = 24  # exact in a float32
 
 # What a number is drawn for: each purpose has different bits.
-STARTS, FIRST_GOAL, SECOND_GOAL, GOALS, PLANS, NEXT_RUN = range(6)  # by a run
+STARTS, FIRST_GOAL, SECOND_GOAL, GOALS, PLANS, NEXT_RUN, ORDERS = range(7)  # by a run
 ORDER, TIES, RESORT = range(3)  # by a planner, of the seed of a window
 
 
@@ -57,6 +57,17 @@ def draw_on_host(seed: np.ndarray | int, number: np.ndarray | int) -> np.ndarray
 def draw(seed: Array | int, number: Array | int) -> jax.Array:
     """Draw the bits of numbers in XLA (uint32), as `mix` does on the host."""
     return mix(jnp.asarray(seed).astype(jnp.uint32), jnp.asarray(number).astype(jnp.uint32))
+
+
+def poisson(mean: float) -> np.ndarray:
+    """Make the table from which numbers of events are drawn, on average `mean` (int32 [n]).
+
+    The odds of at most 0, 1, 2, ... events, in units of a draw of `CHANCE_BITS` bits: as many
+    events happen as entries are not above the draw.
+    """
+    steps = np.arange(1, int(mean + 10 * np.sqrt(mean)) + 10)
+    odds = np.exp(-mean) * np.cumsum(np.append(1.0, np.cumprod(mean / steps)))
+    return np.floor(odds * 2.0**CHANCE_BITS).astype(np.int32)
 
 
 def seed_of(key: jax.Array) -> jax.Array:

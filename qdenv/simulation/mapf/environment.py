@@ -113,6 +113,8 @@ class Environment:
         """
         if agents < 1 or timesteps < 1:
             raise InputError("an environment needs at least one robot and one timestep")
+        if rule.rate:
+            raise InputError("robots of an environment always have a task: leave the rate out")
         layouts = layout.reshape(-1, *layout.shape[-2:])
         for one in layouts:
             check_playable(one, rule, agents)

@@ -29,6 +29,7 @@ from qdenv.simulation.mapf.host.state import RunSettings
 from qdenv.simulation.mapf.metrics import (
     Block,
     Counters,
+    Orders,
     Outcome,
     Recording,
     accumulate,
@@ -37,12 +38,14 @@ from qdenv.simulation.mapf.metrics import (
 )
 from qdenv.simulation.mapf.planner import (
     KNOWN,
+    NEAR,
     NOBODY,
     AgentState,
     World,
     distance_type,
     draw_goals,
     goal_table,
+    next_kind,
     pad,
     serve,
     unpad_grid,
@@ -59,13 +62,14 @@ class FleetState(NamedTuple):
     """The agents between two windows."""
 
     position: jax.Array  # int32 [A]
-    kind: jax.Array  # int32 [A], the current goal's place in the cycle
+    kind: jax.Array  # int32 [A], the current goal's place in the cycle; its length while idle
     goal: jax.Array  # int32 [2, A], slots of the current and the next goal
     remaining_service: jax.Array  # int32 [A], timesteps still to serve
     age: jax.Array  # int32 [A], timesteps since the last finished task
     legs: jax.Array  # int32 [A], tasks finished since all were planned
     previous: jax.Array  # int32 [window + 1, A], the plan from here on
     fields: Fields | None  # distances measured on demand; None where the world has a table of all
+    orders: Orders | None = None  # those that arrived; None where work never runs out
 
 
 def prepare(
@@ -120,6 +124,7 @@ def prepare(
         valid=goals.complete & (goals.service_time.max() <= planner.max_service),
         costs=costs,
         margin=planner.margin,
+        orders=jnp.asarray(chance.poisson(rule.rate / len(rule.cycle))) if rule.rate else None,
     )
 
 
@@ -142,38 +147,97 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
         draw_goals(world.goals, (zero + ahead) % cycle, chance.draw(seed, purpose))
         for ahead, purpose in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
     ]
+    kind, orders = zero, None
+    if world.orders is not None:  # all are idle, where they are
+        kind, goal = zero + cycle, [_slot_at(world, position)] * 2
+        orders = Orders(jnp.int32(0), jnp.int32(0), jnp.float32(0))
     still = jnp.broadcast_to(position, (window + 1, agents))
     fields, size = None, world.traversable.size
     if world.distance is None:
-        kind, far = distance_type(size, world.costs is not None)
+        number, far = distance_type(size, world.costs is not None)
         fields = Fields(
-            jnp.full((2 * agents, size), far, kind),
+            jnp.full((2 * agents, size), far, number),
             jnp.full((2, agents), NOBODY, jnp.int32),
             jnp.zeros((agents,), bool),
         )
-    return FleetState(position, zero, jnp.stack(goal), zero, zero, zero, still, fields)
+    return FleetState(position, kind, jnp.stack(goal), zero, zero, zero, still, fields, orders)
 
 
 def drive(
     world: World, fleet: FleetState, cell: jax.Array, active: jax.Array, seed: jax.Array
 ) -> tuple[FleetState, jax.Array]:
-    """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A])."""
+    """Move every agent to `cell` (int32 [A]) and serve goals; returns who finished (bool [A]).
+
+    Where tasks arrive at a rate, who has finished an order begins the next that waits, or is idle.
+    """
     cycle = world.goals.odds.shape[0]
     service_time = world.goals.service_time[fleet.kind, fleet.goal[0]]
     # An agent does not stay at a goal that its planner did not know.
     known = (fleet.legs < KNOWN) | (service_time == 0)
-    on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known
+    on_goal = (cell == world.goals.cells[fleet.goal[0]]) & active & known & (fleet.kind < cycle)
     remaining, finished = serve(fleet.remaining_service, on_goal, service_time)
     kind = jnp.where(finished, (fleet.kind + 1) % cycle, fleet.kind)
     drawn = draw_goals(world.goals, (kind + 1) % cycle, seed)
+    goal = jnp.where(finished, jnp.stack([fleet.goal[1], drawn]), fleet.goal)
+    orders = fleet.orders
+    if orders is not None:
+        free = finished & (kind == 0)
+        idle = free & (jnp.cumsum(free) > orders.waiting)
+        orders = _begin_orders(orders, free & ~idle)
+        kind, goal = jnp.where(idle, cycle, kind), jnp.where(idle, goal[0], goal)
     return fleet._replace(
         position=cell,
         kind=kind,
-        goal=jnp.where(finished, jnp.stack([fleet.goal[1], drawn]), fleet.goal),
+        goal=goal,
         remaining_service=remaining,
-        age=jnp.where(finished, 0, fleet.age + 1),
+        # Whoever is idle gives way to all others.
+        age=jnp.where(finished | (kind == cycle), 0, fleet.age + 1),
         legs=fleet.legs + finished,
+        orders=orders,
     ), finished
+
+
+def _slot_at(world: World, cell: jax.Array) -> jax.Array:
+    """Find the slots of goal cells (int32 [A])."""
+    slots, size = jnp.arange(world.goals.cells.size, dtype=jnp.int32), world.traversable.size
+    cells = jnp.where(world.goals.used, world.goals.cells, size)
+    return jnp.zeros((size,), jnp.int32).at[cells].set(slots, mode="drop")[cell]
+
+
+def _begin_orders(orders: Orders, who: jax.Array) -> Orders:
+    """Give an order that waits to each agent in `who` (bool [A])."""
+    count = who.sum(dtype=jnp.int32)
+    return orders._replace(waiting=orders.waiting - count, begun=orders.begun + count)
+
+
+def _hand_out(
+    world: World, fleet: FleetState, active: jax.Array, seed: jax.Array, time: jax.Array
+) -> FleetState:
+    """Give the orders that wait to idle agents by lot, with new goals.
+
+    The others of those wait where they are, once they are near their place, which two may share.
+    """
+    cycle, orders = world.goals.odds.shape[0], fleet.orders
+    if orders is None:
+        return fleet
+    idle, count = active & (fleet.kind == cycle), active.shape[0]
+    bits = chance.draw(chance.draw(chance.draw(seed, chance.ORDERS), time), jnp.arange(count))
+    lot = jnp.argsort(jnp.where(idle, (bits >> 1).astype(jnp.int32), jnp.int32(2**31 - 1)))
+    begins = idle.at[lot].set(idle[lot] & (jnp.arange(count) < orders.waiting))
+    kind = jnp.where(begins, 0, fleet.kind)
+    goal = [
+        draw_goals(world.goals, (kind + ahead) % cycle, chance.draw(chance.draw(seed, one), time))
+        for ahead, one in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
+    ]
+    width, place = world.traversable.shape[1], world.goals.cells[fleet.goal[0]]
+    down, right = jnp.divmod(place, width), jnp.divmod(fleet.position, width)
+    near = abs(down[0] - right[0]) + abs(down[1] - right[1]) <= NEAR
+    waits = jnp.where(idle & near, _slot_at(world, fleet.position), fleet.goal)
+    return fleet._replace(
+        kind=kind,
+        goal=jnp.where(begins, jnp.stack(goal), waits),
+        orders=_begin_orders(orders, begins),
+    )
 
 
 def _run_window(
@@ -198,31 +262,46 @@ def _run_window(
         active=active,
         goal=fleet.goal,
         service_time=world.goals.service_time[
-            jnp.stack([fleet.kind, (fleet.kind + 1) % cycle]), fleet.goal
+            jnp.stack([fleet.kind, next_kind(fleet.kind, cycle)]), fleet.goal
         ],
         remaining_service=fleet.remaining_service,
         age=fleet.age,
         previous=fleet.previous,
         distance=distance,
         row=row,
+        leg=(fleet.kind == cycle).astype(jnp.int32),
     )
     # A key whose `chance.seed_of` is the host's seed of a window, mix(mix(seed, PLANS), time).
     words = jnp.stack([chance.draw(seed, chance.PLANS), time.astype(jnp.uint32)])
     key = jax.random.wrap_key_data(words, impl="threefry2x32")
     paths = plan(world, state, config.horizon, key)
     chex.assert_shape(paths, (config.window + 1, config.agents))
-    goals = chance.draw(seed, chance.GOALS)
+    goals, arrivals = (chance.draw(seed, one) for one in (chance.GOALS, chance.ORDERS))
 
     def step(fleet: FleetState, inputs: tuple[jax.Array, jax.Array]) -> tuple[FleetState, Block]:
-        heading = world.goals.cells[fleet.goal[0]]
+        heading = _headings(world, fleet)
         drawn = chance.draw(goals, inputs[1])
         fleet, finished = drive(world, fleet, inputs[0], active, drawn)
+        if world.orders is not None and fleet.orders is not None:
+            bits = chance.draw(arrivals, inputs[1]) >> (32 - chance.CHANCE_BITS)
+            new = (world.orders <= bits.astype(jnp.int32)).sum(dtype=jnp.int32)
+            waiting, waited = fleet.orders.waiting + new, fleet.orders.waited
+            counts = inputs[1] < config.timesteps
+            orders = Orders(waiting, fleet.orders.begun, waited + counts * waiting)
+            fleet = fleet._replace(orders=orders)
         return fleet, Block(fleet.position, fleet.remaining_service, finished, heading)
 
     times = time + jnp.arange(config.horizon)
     fleet, block = jax.lax.scan(step, fleet, (paths[1 : config.horizon + 1], times))
     last = jnp.broadcast_to(paths[-1], (config.horizon, config.agents))
-    return fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last])), block
+    fleet = fleet._replace(previous=jnp.concatenate([paths[config.horizon :], last]))
+    return _hand_out(world, fleet, active, seed, time + config.horizon), block
+
+
+def _headings(world: World, fleet: FleetState) -> jax.Array:
+    """Return the goal cells of all agents, `NOBODY` of those that are idle (int32 [A])."""
+    cells = world.goals.cells[fleet.goal[0]]
+    return jnp.where(fleet.kind < world.goals.odds.shape[0], cells, NOBODY)
 
 
 def blank_outcome(world: World, config: FleetConfig, keep: bool) -> Outcome:
@@ -236,8 +315,11 @@ def blank_outcome(world: World, config: FleetConfig, keep: bool) -> Outcome:
         finished=jnp.zeros((windows,), jnp.int32),
         visits=jnp.zeros((world.traversable.size,), jnp.int32),
         moves=jnp.int32(0),
+        idle=jnp.int32(0),
     )
-    return Outcome(counters, nowhere, nowhere, Block(blank, blank, blank.astype(bool), blank))
+    block = Block(blank, blank, blank.astype(bool), blank)
+    orders = Orders(jnp.int32(0), jnp.int32(0), jnp.float32(0))
+    return Outcome(counters, nowhere, nowhere, block, None if world.orders is None else orders)
 
 
 def run_settings(config: FleetConfig, seed: int = 0) -> RunSettings:
@@ -265,7 +347,7 @@ def _run(
         outcome: Outcome = simulate_there(world, seed, active.sum())
         return outcome
     first = place(world, config.window, active, seed)
-    counters, _, _, room = blank_outcome(world, config, keep)
+    counters, _, _, room, _ = blank_outcome(world, config, keep)
 
     def is_going(run: tuple[FleetState, Counters, Block]) -> jax.Array:
         counters = run[1]
@@ -285,7 +367,7 @@ def _run(
         return after, accumulate(counters, *before, block, active, config.timesteps), kept
 
     fleet, counters, kept = jax.lax.while_loop(is_going, run_window, (first, counters, room))
-    return Outcome(counters, world.goals.cells[fleet.goal[0]], first.position, kept)
+    return Outcome(counters, _headings(world, fleet), first.position, kept, fleet.orders)
 
 
 def _select_active_agents(
@@ -304,7 +386,7 @@ def _report(
 ) -> _Report:
     """Turn what a run leaves behind into records; the recording is None unless `keep`."""
     recording = recording_of(outcome, active, world, config.timesteps) if keep else None
-    return summarise(world, outcome.counters, active, config.timesteps), recording
+    return summarise(world, outcome, active, config.timesteps), recording
 
 
 def _simulate(

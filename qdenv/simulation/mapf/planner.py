@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.grid import of_tiles
 from qdenv.native import shared
 from qdenv.simulation.mapf import chance
 from qdenv.types import Array, TaskRule
@@ -27,6 +28,7 @@ Counts = TypeVar("Counts", int, jax.Array)
 
 KNOWN = 2  # goals that planners know of each agent: the current and the next
 NOBODY = -1  # in place of an agent's number
+NEAR = 2  # cells from its place at which an idle agent waits where it is
 UNREACHABLE = 32_000  # steps to where no way leads, on grids of at most this many cells
 _UNREACHABLE_AFAR = 1 << 20  # the same on larger ones, of a thousand rows and columns at most
 UNREACHABLE_COST = 1 << 23  # the same where moves have costs; twice as much is what PIBT can rank
@@ -50,7 +52,9 @@ class GoalTable(NamedTuple):
     cells: jax.Array  # int32 [G], the goal cells in row-major order; unused slots hold 0
     used: jax.Array  # bool [G]
     odds: jax.Array  # float32 [n, G], cumulated odds of each slot within its kind, ending in 1
-    service_time: jax.Array  # int32 [n, G], timesteps served at each slot by its kind
+    # int32 [n + 1, G], timesteps served at each slot by its kind; an idle agent, of kind n, serves
+    # nowhere
+    service_time: jax.Array
     complete: jax.Array  # bool, every kind has a goal and no goal was left out for want of slots
 
 
@@ -70,6 +74,8 @@ class World:
     # int32 [5, H' * W'], the cost of each move at each cell (`guidance.fixed_costs`), 0 where it is
     # not allowed; None where every move costs one step. With costs, distances are sums of them.
     costs: jax.Array | None = None
+    # int32 [K], odds of orders per timestep (`chance.poisson`); None where work never runs out
+    orders: jax.Array | None = None
 
 
 class AgentState(NamedTuple):
@@ -86,6 +92,9 @@ class AgentState(NamedTuple):
     previous: jax.Array
     distance: jax.Array  # [rows, H' * W'], steps from every cell to some goals, see `distance_type`
     row: jax.Array  # int32 [2, A], the rows of `distance` that belong to `goal`
+    # int32 [A], which of the two goals the agent heads for, 1 while it is idle: both are one cell
+    # then, which it need not leave and come back to
+    leg: jax.Array | int = 0
 
 
 class Planner(NamedTuple):
@@ -113,17 +122,24 @@ class Planner(NamedTuple):
 
 
 def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
-    """List the goals of `layout` (int8 [H, W]) in `capacity` slots."""
+    """List the goals of `layout` (int8 [H, W]) in `capacity` slots.
+
+    Where tasks arrive at a rate, idle agents wait anywhere: all free cells are goals, most of them
+    without odds.
+    """
     weights = jnp.stack([goal.weight(layout).reshape(-1) for goal in rule.cycle])
     weights = weights.astype(jnp.float32)
     is_goal = (weights > 0).any(0)
+    if rule.rate:
+        is_goal |= of_tiles(layout, rule.traversable, rule.tiles).reshape(-1)
     cells = jnp.nonzero(is_goal, size=capacity, fill_value=0)[0].astype(jnp.int32)
     used = jnp.arange(capacity) < is_goal.sum()
     cumulated = jnp.cumsum(jnp.where(used, weights[:, cells], 0.0), axis=1)
     total = cumulated[:, -1:]
     complete = (total > 0).all() & (is_goal.sum() <= capacity)
-    stays = jnp.stack([jnp.asarray(goal.stays(layout)).reshape(-1) for goal in rule.cycle])
-    service_time = stays.astype(jnp.int32)[:, cells]
+    stays = [jnp.asarray(goal.stays(layout)).reshape(-1) for goal in rule.cycle]
+    stays.append(jnp.zeros_like(stays[0]))
+    service_time = jnp.stack(stays).astype(jnp.int32)[:, cells]
     return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), service_time, complete)
 
 
@@ -155,6 +171,12 @@ def serve(
     arrived = (remaining_service == 0) & on_goal
     left = arrived * service_time + serving * (remaining_service - 1)
     return left, (arrived | serving) & (left == 0)
+
+
+@shared
+def next_kind(kind: Counts, cycle: int) -> Counts:
+    """Return the kind of goal after one of `cycle` kinds; whoever is idle remains so."""
+    return (kind + 1) % cycle * (kind < cycle) + cycle * (kind == cycle)
 
 
 @shared

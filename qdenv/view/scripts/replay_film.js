@@ -12,12 +12,12 @@ async function numbers(name, kind) {
  * Undo what `qdenv/view/replay.py` encoded.
  * Cells by timestep and robot, row-major: `position` and `goal` [(steps + 1) * agents]; `waited`
  * [steps * agents] is for how many timesteps a robot has waited in a row after each step, 0 where
- * it moved or was served. `finishedBy` and `waitsBy` [steps + 1] are sums since the beginning;
+ * it moved, was served or had no order: `idle` is its goal then. `finishedBy` and `waitsBy` [steps + 1] are sums since the beginning;
  * `tasks` holds for each robot the timesteps at which it finished one.
  */
 async function readFilm() {
   const {rows, cols, agents, steps} = facts;
-  const cell = rows * cols <= 65536 ? Uint16Array : Uint32Array;
+  const cell = rows * cols < 65536 ? Uint16Array : Uint32Array;
   const [moves, starts] = [await numbers("moves", Uint8Array), await numbers("starts", Uint32Array)];
   const film = {
     rows, cols, agents, steps, starts,
@@ -29,6 +29,7 @@ async function readFilm() {
     finishedBy: new Uint32Array(steps + 1),
     waitsBy: new Uint32Array(steps + 1),
     tasks: [],
+    idle: new cell([-1])[0],
   };
   await readGoals(film);
   readMoves(film, moves, [0, 1, -1, cols, -cols]);
@@ -43,15 +44,16 @@ async function readFilm() {
 async function readGoals(film) {
   const [first, counts] = [await numbers("goals", Uint32Array), await numbers("counts", Uint32Array)];
   const [times, next] = [await numbers("times", Uint32Array), await numbers("next", Uint32Array)];
+  const done = await numbers("done", Uint8Array);
   let event = 0;
   for (let agent = 0; agent < film.agents; agent++) {
-    const end = event + counts[agent];
-    film.tasks.push(times.subarray(event, end));
+    const [from, end] = [event, event + counts[agent]];
+    film.tasks.push(times.subarray(event, end).filter((_, index) => done[from + index]));
     let goal = first[agent];
     for (let time = 0; time <= film.steps; time++) {
       for (; event < end && times[event] === time; event++) {
         goal = next[event];
-        film.finishedBy[time]++;
+        film.finishedBy[time] += done[event];
       }
       film.goal[time * film.agents + agent] = goal;
     }
@@ -70,7 +72,7 @@ function readMoves(film, moves, strides) {
       const move = Math.floor(three / DIGITS[time % 3]) % 5;
       const at = time * agents + agent;
       cell += strides[move];
-      const waits = move === 0 && cell !== goal[at];
+      const waits = move === 0 && cell !== goal[at] && goal[at] !== film.idle;
       since = waits ? Math.min(since + 1, WAITED_MOST) : 0;
       waited[at] = since;
       position[at + agents] = cell;
@@ -79,11 +81,12 @@ function readMoves(film, moves, strides) {
   }
 }
 
-/** Say what a robot does in a step: "driving", "waiting" or "serving"; step -1 is before the first. */
+/** Say what a robot does in a step, which is -1 before the first. */
 function doingOf(film, agent, step) {
   if (step < 0) return "driving";
   const at = step * film.agents + agent;
   if (film.position[at] !== film.position[at + film.agents]) return "driving";
+  if (film.goal[at] === film.idle) return "idle";
   return film.waited[at] ? "waiting" : "serving";
 }
 

@@ -52,12 +52,14 @@ function showFollowed(film, agent, now) {
   const words = {
     driving: "driving",
     serving: "being served",
+    idle: "without an order",
     waiting: `waiting for ${waited} timestep${waited === 1 ? "" : "s"}`,
   };
   const [tasks, since] = [tasksBy(film, agent, time), time - setOutAt(film, agent, time)];
+  const way = goal === film.idle ? "" : `; its goal: ${cellWords(film, goal)}, on the way for ${since}`;
   say("doing", `Robot ${agent}, ${words[doing]}, at ` +
-    `${cellWords(film, film.position[time * film.agents + agent])}; its goal: ` +
-    `${cellWords(film, goal)}, on the way for ${since}. ${tasks} task${tasks === 1 ? "" : "s"} finished.`);
+    `${cellWords(film, film.position[time * film.agents + agent])}${way}. ` +
+    `${tasks} task${tasks === 1 ? "" : "s"} finished.`);
 }
 
 /** Draw the pictures of the legend. */

@@ -43,6 +43,7 @@ function drawGoals(context, film, view, sprites, now) {
   const time = Math.floor(now);
   for (let agent = 0; agent < film.agents; agent++) {
     const cell = film.goal[time * film.agents + agent];
+    if (cell === film.idle) continue;
     stamp(context, picture, view, cell % film.cols + 0.5, Math.floor(cell / film.cols) + 0.5);
   }
 }
@@ -53,6 +54,7 @@ function drawRobots(context, film, view, sprites, now) {
   const size = view.scale * view.ratio;
   const pictures = {};
   for (const kind of ["driving", "waiting", "serving"]) pictures[kind] = spriteOf(sprites, kind, size);
+  pictures.idle = pictures.serving;
   for (let agent = 0; agent < film.agents; agent++) {
     const picture = pictures[doingOf(film, agent, step)];
     stamp(context, picture, view, ...placeOf(film, agent, now));
@@ -78,7 +80,7 @@ function drawWay(context, film, view, agent, now) {
   context.stroke();
   const cell = film.goal[time * film.agents + agent];
   const goal = at(cell % film.cols + 0.5, Math.floor(cell / film.cols) + 0.5);
-  if (film.headings.length) return;
+  if (film.headings.length || cell === film.idle) return;
   context.beginPath();
   context.moveTo(...place);
   context.lineTo(...goal);

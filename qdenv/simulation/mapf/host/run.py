@@ -17,7 +17,7 @@ from qdenv.simulation.mapf.host.state import (
     place_agents,
 )
 from qdenv.simulation.mapf.pibt.numba import Rollout, make_rollout, roll_out
-from qdenv.simulation.mapf.planner import Planner, World
+from qdenv.simulation.mapf.planner import NOBODY, Planner, World
 
 _SPARE_ROWS = 64  # fields of distances for more goals than two per agent
 # What `plan_window` and a whole run end with: done, or a buffer that was too small.
@@ -121,9 +121,13 @@ def simulate_into(
             del runs_under_way[id(run)]
     counted, counters = outcome.counters, run.counters
     counted.time[...], counted.congested_at[...] = counters.time, counters.congested_at
-    counted.moves[...] = counters.moves
+    counted.moves[...], counted.idle[...] = counters.moves, counters.idle
     counted.finished[...], counted.visits[...] = run.finished, run.visits
-    outcome.heading[:agents] = run.grid.goals[run.goal[0]]
+    headings = np.where(run.kind < len(run.grid.odds), run.grid.goals[run.goal[0]], NOBODY)
+    outcome.heading[:agents] = headings
+    if outcome.orders is not None:
+        outcome.orders.waiting[...] = counters.waiting
+        outcome.orders.begun[...], outcome.orders.waited[...] = counters.begun, run.waited[0]
 
 
 def run_to_the_end(planner: Planner, run: HostRun) -> None:

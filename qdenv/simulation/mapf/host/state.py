@@ -3,7 +3,7 @@
 `fleet` and `metrics` agent by agent instead of array by array, number for number.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.metrics import Block
-from qdenv.simulation.mapf.planner import KNOWN, World, serve, unpad
+from qdenv.simulation.mapf.planner import KNOWN, NEAR, NOBODY, World, next_kind, serve, unpad
 
 # Orders of agents are sorted as single numbers: what ranks an agent (below 2^38), then the agent.
 AGENT_BITS = 24
@@ -24,12 +24,17 @@ class GridMap(NamedTuple):
     free: np.ndarray  # bool [N], cells agents may drive on
     goals: np.ndarray  # int64 [G], the goal cells
     odds: np.ndarray  # float32 [n, G], cumulated odds of each goal within its kind
-    service_time: np.ndarray  # int64 [n, G], timesteps served at each goal by its kind
+    # int64 [n + 1, G], timesteps served at each goal by its kind; an idle agent is of kind n
+    service_time: np.ndarray
     steps: np.ndarray  # int64 [5], what each move adds to a position: wait, right, left, down, up
     width: int  # columns of the padded grid
     margin: int  # rows and columns of walls on each side
     # int32 [5, N], the cost of each move at each cell, 0 where it is not allowed; [5, 0] without
     costs: np.ndarray = np.zeros((NUM_MOVES, 0), np.int32)
+    # int32 [K], odds of orders per timestep (`chance.poisson`), and int64 [N], the goal on each
+    # cell; empty where work never runs out
+    orders: np.ndarray = np.zeros(0, np.int32)
+    slot: np.ndarray = np.zeros(0, np.int64)
 
 
 class RunSettings(NamedTuple):
@@ -50,14 +55,15 @@ class HostRun(NamedTuple):
 
     grid: GridMap  # the layout
     position: np.ndarray  # int64 [A]
-    kind: np.ndarray  # int64 [A], the current goal's place in the cycle
+    kind: np.ndarray  # int64 [A], the current goal's place in the cycle; its length while idle
     goal: np.ndarray  # int64 [2, A], slots of the current and the next goal
     remaining_service: np.ndarray  # int64 [A], timesteps still to serve
     age: np.ndarray  # int64 [A], timesteps since the last finished task
     legs: np.ndarray  # int64 [A], tasks finished since all were planned
     paths: np.ndarray  # int64 [A, w + 1], the plan from here on
     stuck: np.ndarray  # bool [A], whether the agent neither moved nor served in this window
-    counters: Numbers  # time, congested_at and moves
+    counters: Numbers  # time, congested_at, moves and idle; waiting and begun of `metrics.Orders`
+    waited: np.ndarray  # float32 [1], timesteps that all orders waited
     finished: np.ndarray  # int32 [T], T rounded up to whole windows
     visits: np.ndarray  # int32 [N]
     block: Block  # every step, each int32 or bool [T, A]; without rows where nothing is recorded
@@ -66,7 +72,9 @@ class HostRun(NamedTuple):
 
 def grid_map(world: World) -> GridMap:
     """Take what host code needs of a world of numpy arrays."""
-    width = world.traversable.shape[1]
+    width, slot = world.traversable.shape[1], np.zeros(world.traversable.size, np.int64)
+    used = np.flatnonzero(world.goals.used)
+    slot[np.asarray(world.goals.cells)[used]] = used
     # Copies: jax's own buffers cannot be written to, for which kernels would be compiled twice.
     return GridMap(
         np.array(world.traversable).reshape(-1),
@@ -77,6 +85,8 @@ def grid_map(world: World) -> GridMap:
         width,
         world.margin,
         np.zeros((NUM_MOVES, 0), np.int32) if world.costs is None else np.array(world.costs),
+        np.zeros(0, np.int32) if world.orders is None else np.array(world.orders),
+        slot,
     )
 
 
@@ -95,7 +105,8 @@ def make_run(world: World, settings: RunSettings, agents: int, block: Block) -> 
         legs=legs,
         paths=np.zeros((agents, settings.window + 1), np.int64),
         stuck=np.zeros(agents, np.bool_),
-        counters=numbers("time", "congested_at", "moves"),
+        counters=numbers("time", "congested_at", "moves", "idle", "waiting", "begun"),
+        waited=np.zeros(1, np.float32),
         finished=np.zeros(windows * settings.horizon, np.int32),
         visits=np.zeros(grid.free.size, np.int32),
         block=block,
@@ -119,6 +130,8 @@ def place_agents(run: HostRun) -> None:
         odds = grid.odds[ahead % len(grid.odds)]
         drawn = np.searchsorted(odds, value, side="right")
         run.goal[ahead] = np.minimum(drawn, grid.goals.size - 1)
+    if grid.orders.size > 0:  # all are idle, where they are
+        run.kind[:], run.goal[:] = len(grid.odds), grid.slot[run.position]
 
 
 @kernel
@@ -132,6 +145,8 @@ def drive_window(run: HostRun) -> None:
         drawn = chance.mix(goals, begin + step)
         for agent in range(run.position.size):
             _drive(run, agent, step, begin + step, drawn)
+        if run.grid.orders.size > 0:
+            _count_orders(run, begin + step)
     for agent in range(run.position.size):
         # The rest of the path is kept; its last cell is repeated.
         for step in range(last + 1):
@@ -141,6 +156,8 @@ def drive_window(run: HostRun) -> None:
     if jam and counters.congested_at == 0:
         counters.congested_at = begin + horizon
     counters.time = min(begin + horizon, settings.timesteps)
+    if run.grid.orders.size > 0:
+        _hand_out(run, begin + horizon)
 
 
 @formula
@@ -153,35 +170,95 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
     if time < run.settings.timesteps:
         run.visits[cell] += 1
         run.counters.moves += moves
-    # Stuck: the same cell at all timesteps of the window but the last, and never serving.
-    if (moves and step < run.settings.horizon - 1) or run.remaining_service[agent] > 0:
+    kind, idle = run.kind[agent], run.kind[agent] == len(grid.odds)
+    # Stuck: the same cell at all timesteps of the window but the last, and never serving or idle.
+    if (moves and step < run.settings.horizon - 1) or run.remaining_service[agent] > 0 or idle:
         run.stuck[agent] = False
     run.position[agent] = cell
-    kind = run.kind[agent]
     service_time = grid.service_time[kind, slot]
     # Planners know of two goals: a later one is not served in passing.
-    on_goal = cell == goal and (run.legs[agent] < KNOWN or service_time == 0)
+    on_goal = cell == goal and (run.legs[agent] < KNOWN or service_time == 0) and not idle
     left, finished = serve(run.remaining_service[agent], on_goal, service_time)
     run.remaining_service[agent] = left
     run.age[agent] += 1
+    if idle:
+        run.age[agent] = 0  # whoever is idle gives way to all others
+        run.counters.idle += time < run.settings.timesteps
     if run.block.positions.size:
         run.block.positions[time, agent] = cell
         run.block.remaining_service[time, agent] = left
         run.block.finished[time, agent] = finished
-        run.block.goals[time, agent] = goal
+        run.block.goals[time, agent] = NOBODY if idle else goal
     if finished:
         kind = (kind + 1) % len(grid.odds)
         run.kind[agent], run.age[agent] = kind, 0
         run.legs[agent] += 1
-        # Draw the goal after the next with the odds of its kind, as `planner.draw_goals` does.
-        bits = chance.mix(drawn, agent) >> (32 - chance.CHANCE_BITS)
-        value = np.float32(bits) * np.float32(2.0**-chance.CHANCE_BITS)
-        odds = grid.odds[(kind + 1) % len(grid.odds)]
-        slot = np.searchsorted(odds, value, side="right")
         run.goal[0, agent] = run.goal[1, agent]
-        run.goal[1, agent] = min(slot, grid.goals.size - 1)
+        run.goal[1, agent] = _draw_goal(grid, kind + 1, drawn, agent)
         if time < run.settings.timesteps:
             run.finished[time] += 1
+        if kind == 0 and grid.orders.size > 0:
+            if run.counters.waiting > 0:
+                run.counters.waiting -= 1
+                run.counters.begun += 1
+            else:
+                run.kind[agent], run.goal[1, agent] = len(grid.odds), run.goal[0, agent]
+
+
+@formula
+def _draw_goal(grid: GridMap, kind: int, seed: int, agent: int) -> int:
+    """Draw a goal of an agent with the odds of its kind, as `planner.draw_goals` does."""
+    bits = chance.mix(seed, agent) >> (32 - chance.CHANCE_BITS)
+    value = np.float32(bits) * np.float32(2.0**-chance.CHANCE_BITS)
+    slot: Any = np.searchsorted(grid.odds[kind % len(grid.odds)], value, side="right")
+    return min(slot, grid.goals.size - 1)
+
+
+@formula
+def service_time(run: HostRun, agent: int, leg: int) -> int:
+    """Return the timesteps that an agent serves at its current (leg 0) or next goal (1)."""
+    kind = run.kind[agent]
+    if leg > 0:
+        kind = next_kind(kind, len(run.grid.odds))
+    return run.grid.service_time[kind, run.goal[leg, agent]]
+
+
+@kernel
+def _count_orders(run: HostRun, time: int) -> None:
+    """Let orders arrive, and count those that wait."""
+    arrivals = chance.mix(chance.mix(run.settings.seed, chance.ORDERS), time)
+    bits = arrivals >> (32 - chance.CHANCE_BITS)
+    run.counters.waiting += np.searchsorted(run.grid.orders, bits, side="right")
+    if time < run.settings.timesteps:
+        run.waited[0] += np.float32(run.counters.waiting)
+
+
+@kernel
+def _hand_out(run: HostRun, time: int) -> None:
+    """Give the orders that wait to idle agents by lot, with new goals, as `fleet._hand_out`."""
+    counters, idle, seed = run.counters, len(run.grid.odds), run.settings.seed
+    width = run.grid.width
+    for agent in range(run.position.size):
+        cell, place = run.position[agent], run.grid.goals[run.goal[0, agent]]
+        away = abs(cell // width - place // width) + abs(cell % width - place % width)
+        if run.kind[agent] == idle and away <= NEAR:
+            run.goal[0, agent] = run.goal[1, agent] = run.grid.slot[cell]
+    lot = chance.mix(chance.mix(seed, chance.ORDERS), time)
+    while counters.waiting > 0:
+        best, first = NOBODY, 1 << 31
+        for agent in range(run.position.size):
+            bits = chance.mix(lot, agent) >> 1
+            if run.kind[agent] == idle and bits < first:
+                best, first = agent, bits
+        if best == NOBODY:
+            break
+        run.kind[best] = 0
+        for ahead in range(KNOWN):
+            purpose = chance.SECOND_GOAL if ahead else chance.FIRST_GOAL
+            drawn = chance.mix(chance.mix(seed, purpose), time)
+            run.goal[ahead, best] = _draw_goal(run.grid, ahead, drawn, best)
+        counters.waiting -= 1
+        counters.begun += 1
 
 
 @formula

@@ -101,9 +101,7 @@ def find_path(
         return window
     search.bucket[:] = NO_STATE
     search.numbers.entries, search.numbers.waiting = 0, 0
-    # What the agent serves now is behind it when it sets out.
-    layer = (1 if begin > 0 else 0) + HOLDING * may_hold
-    first = _pack(search, layer, begin, centre)
+    first = _pack(search, goals.leg[agent] + HOLDING * may_hold, begin, centre)
     if has_costs:
         _push(search, first, NO_STATE, 0, begin)
     else:

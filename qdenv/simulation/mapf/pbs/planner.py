@@ -20,9 +20,10 @@ from qdenv.native import kernel, shared
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.run import DONE, FIELDS_FULL, PLAN_FULL, Fallback, compile_windows
-from qdenv.simulation.mapf.host.state import GridMap, HostRun
+from qdenv.simulation.mapf.host.state import GridMap, HostRun, service_time
 from qdenv.simulation.mapf.pbs import conflicts
 from qdenv.simulation.mapf.pbs.settings import MAX_WINDOW, PbsConfig
+from qdenv.simulation.mapf.pbs.workspace import DONE as LAST
 from qdenv.simulation.mapf.pbs.workspace import FIRST_DEPTH, Goals, Workspace, make_workspace
 from qdenv.simulation.mapf.planner import KNOWN, NOBODY, Planner
 
@@ -81,9 +82,11 @@ def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
     grid = run.grid
     for agent in range(run.position.size):
         for leg in range(KNOWN):
-            slot, kind = run.goal[leg, agent], (run.kind[agent] + leg) % len(grid.odds)
-            goals.cell[leg, agent] = grid.goals[slot]
-            goals.service_time[leg, agent] = grid.service_time[kind, slot]
+            goals.cell[leg, agent] = grid.goals[run.goal[leg, agent]]
+            goals.service_time[leg, agent] = service_time(run, agent, leg)
+        goals.leg[agent] = run.remaining_service[agent] > 0
+        if run.kind[agent] == len(grid.odds):
+            goals.leg[agent] = LAST if run.position[agent] == goals.cell[0, agent] else 1
         second = run.goal[1, agent]
         goals.between[agent] = distance(fields, grid, second, goals.cell[0, agent])
 

@@ -36,6 +36,9 @@ class Goals(NamedTuple):
 
     start: np.ndarray  # int64 [A], where they are
     begin: np.ndarray  # int64 [A], timesteps of the service in progress; until then the agent stays
+    # int64 [A], the leg on which each sets out: `DONE` of an idle agent, and 1 until it is at its
+    # place; a service in progress is behind it
+    leg: np.ndarray
     goal: np.ndarray  # int64 [2, A], slots of the goals
     cell: np.ndarray  # int64 [2, A], where they are
     service_time: np.ndarray  # int64 [2, A], timesteps to serve there
@@ -135,11 +138,12 @@ def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
     # Goals with a service; odds are cumulated.
     likely = np.diff(grid.odds, axis=1, prepend=np.float32(0)) > 0
     holds = np.zeros(grid.free.size, np.bool_)
-    holds[grid.goals[(likely & (grid.service_time > 0)).any(axis=0)]] = True
+    holds[grid.goals[(likely & (grid.service_time[:-1] > 0)).any(axis=0)]] = True
     return Workspace(
         goals=Goals(
             start=run.position,
             begin=run.remaining_service,
+            leg=np.zeros(count, np.int64),
             goal=run.goal,
             cell=np.zeros((2, count), np.int64),
             service_time=np.zeros((2, count), np.int64),

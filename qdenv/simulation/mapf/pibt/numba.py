@@ -16,7 +16,7 @@ from qdenv.grid import NUM_MOVES
 from qdenv.native import formula, kernel, shared
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
-from qdenv.simulation.mapf.host.state import AGENT, AGENT_BITS, HostRun, sort
+from qdenv.simulation.mapf.host.state import AGENT, AGENT_BITS, HostRun, service_time, sort
 from qdenv.simulation.mapf.pibt.swap import pull
 from qdenv.simulation.mapf.planner import NOBODY, serve
 
@@ -106,7 +106,6 @@ def roll_out(
     swaps: bool,
 ) -> None:
     """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still."""
-    grid, kinds = run.grid, len(run.grid.odds)
     ties = chance.mix(seed, chance.RESORT)
     rank = chance.mix(ties, RANKS)
     for agent in range(run.position.size):
@@ -134,10 +133,9 @@ def roll_out(
         push_along(run, fields, rollout, t, swaps)
         for agent in range(run.position.size):
             stage = rollout.stage[agent]
-            slot = run.goal[stage, agent]
-            service_time = grid.service_time[(run.kind[agent] + stage) % kinds, slot]
-            on_goal = rollout.path[agent, t + 1] == grid.goals[slot]
-            left, finished = serve(rollout.remaining_service[agent], on_goal, service_time)
+            goal, time = run.grid.goals[run.goal[stage, agent]], service_time(run, agent, stage)
+            on_goal = rollout.path[agent, t + 1] == goal
+            left, finished = serve(rollout.remaining_service[agent], on_goal, time)
             rollout.remaining_service[agent] = left
             rollout.age[agent] += 1
             if finished:

@@ -8,7 +8,15 @@ from qdenv.native import Numbers, formula, kernel, numbers, shared
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.host.distances import DistanceFields
 from qdenv.simulation.mapf.host.run import DONE, FIELDS_FULL, Fallback, compile_windows
-from qdenv.simulation.mapf.host.state import AGENT, AGENT_BITS, HostRun, paths_meet, sift, sort
+from qdenv.simulation.mapf.host.state import (
+    AGENT,
+    AGENT_BITS,
+    HostRun,
+    paths_meet,
+    service_time,
+    sift,
+    sort,
+)
 from qdenv.simulation.mapf.negotiated import rules
 from qdenv.simulation.mapf.negotiated.numba.search import (
     AGAINST,
@@ -149,10 +157,9 @@ def _plan(
     grid, number = run.grid, plan.planning[lane]
     first, second = run.goal[0, number], run.goal[1, number]
     attempt = min(plan.attempts[number], plan.work.penalties.size - 1)
-    kind, kinds = run.kind[number], len(grid.odds)
     # Whatever is longer does not end within a window, however long it is.
-    serving = min(grid.service_time[kind, first], MAX_SERVICE)
-    serving_next = min(grid.service_time[(kind + 1) % kinds, second], MAX_SERVICE)
+    serving = min(service_time(run, number, 0), MAX_SERVICE)
+    serving_next = min(service_time(run, number, 1), MAX_SERVICE)
     agent = Agent(
         number,
         run.position[number],
@@ -162,6 +169,7 @@ def _plan(
         min(run.remaining_service[number], serving),
         plan.work.penalties[attempt],
         plan.tie_break[number] ^ (turn * rules.ROUND_TIE_BREAK),
+        int(run.kind[number] == len(grid.odds)),
     )
     plan.is_found[lane] = find_path(plan.work, plan.reservations, fields, grid, agent)
     plan.attempts[number] += 1

@@ -93,6 +93,7 @@ class Agent(NamedTuple):
     remaining_service: int  # timesteps still to serve where the agent is; 0 while driving
     penalty: int  # cost of a conflict
     tie_break: int  # random bits that settle ties
+    leg: int = 0  # on which it sets out
 
 
 @kernel
@@ -152,7 +153,7 @@ def find_path(
 def _start(work: SearchArrays, fields: DistanceFields, grid: GridMap, agent: Agent) -> int:
     """Queue the first state; returns the least possible cost."""
     middle = work.side * work.side // 2
-    state = pack(agent.position, middle, 0, 0, 0)
+    state = pack(agent.position, middle, 0, agent.leg, 0)
     if agent.remaining_service:
         elapsed = agent.service_time[0] - agent.remaining_service
         work.served[0, 0, 0] = 1 << elapsed
@@ -161,9 +162,9 @@ def _start(work: SearchArrays, fields: DistanceFields, grid: GridMap, agent: Age
         enqueue(work, state | ((elapsed + 1) << ELAPSED_BIT), 0)
         return cost_units(work)[0] * agent.remaining_service
     # Standing on the goal is not arriving: the path leaves it like any other cell.
-    mark(work, work.numbers.search, 0, middle, 0, 0, 0)
+    mark(work, work.numbers.search, 0, middle, agent.leg, 0, 0)
     enqueue(work, state, 0)
-    return _left(work, fields, grid, agent, 0, agent.position)
+    return _left(work, fields, grid, agent, agent.leg, agent.position)
 
 
 @formula

@@ -30,7 +30,7 @@ def start(local: LocalWindow, levels: int) -> LeastCosts:
     serving = ~driving & (jnp.arange(rules.SERVED_BITS)[:, None] == elapsed)
     served = jnp.full((levels, 2, rules.SERVED_BITS, agents), FAR, jnp.int32)
     return LeastCosts(
-        cells.at[0, 0, middle, middle].set(here),
+        cells.at[0, local.leg, middle, middle, jnp.arange(agents)].set(here),
         served.at[0, 0].set(jnp.where(serving, 0, FAR)),
     )
 

@@ -67,11 +67,12 @@ def _start(local: LocalWindow, levels: int) -> ReachableSet:
     middle, driving = side // 2, local.remaining_service == 0
     here = jnp.where(driving, jnp.uint32(1 << middle), 0)
     elapsed = (local.service_time[0] - local.remaining_service).astype(jnp.uint32)
-    cells = jnp.zeros((levels, 2, side, agents), jnp.uint32).at[0, 0, middle].set(here)
+    cells = jnp.zeros((levels, 2, side, agents), jnp.uint32)
+    cells = cells.at[0, local.leg, middle, jnp.arange(agents)].set(here)
     served = jnp.zeros((levels, 2, agents), jnp.uint32)
     served = served.at[0, 0].set(jnp.where(driving, 0, jnp.uint32(1) << elapsed))
     # Standing on the goal is not arriving: the path leaves it like any other cell.
-    on_goal = driving & ((local.goal[0, middle] >> middle) & 1 == 1)
+    on_goal = driving & (local.leg == 0) & ((local.goal[0, middle] >> middle) & 1 == 1)
     just_served = jnp.zeros((levels, 2, 1, agents), jnp.uint32)
     just_served = just_served.at[0, 0, 0].set(jnp.where(on_goal, jnp.uint32(ALL), 0))
     return ReachableSet(cells, served, just_served)

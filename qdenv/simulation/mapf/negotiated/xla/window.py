@@ -37,6 +37,7 @@ class LocalWindow(NamedTuple):
     # int32 [5, E, E, K], the cost of each move from each cell in sight, `FAR` where it is not
     # allowed; None where every move costs a timestep
     costs: jax.Array | None
+    leg: jax.Array  # int32 [K], on which they set out
 
     @property
     def side(self) -> int:
@@ -133,6 +134,7 @@ def gather(
         penalty=penalty,
         tie_break=tie_break,
         costs=costs,
+        leg=jnp.broadcast_to(state.leg, state.position.shape)[agent],
     )
 
 
