@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from qdenv.simulation import __doc__ as rules
+from qdenv.simulation.mapf.agents import drive, place
 from qdenv.simulation.mapf.audit import check_moves, jammed_windows, replay_tasks
-from qdenv.simulation.mapf.fleet import FleetConfig, drive, place, prepare, run_settings
+from qdenv.simulation.mapf.fleet import FleetConfig, prepare, run_settings
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.host.state import drive_window, make_run
 from qdenv.simulation.mapf.metrics import Block

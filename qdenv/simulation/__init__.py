@@ -57,7 +57,7 @@ all are planned again drives on, and arrives there after the next planning.
     .a..  a...  a...  a...  .a..  ..a.  ...a  ...a  ...a
 
 **Orders.** Where tasks arrive at a rate, an order is a task of each kind in turn. How many arrive
-in a timestep is drawn (Poisson). Agents begin without one, where they stand. Whoever finishes an
+in a timestep is drawn (Poisson). Agents begin without one, where they stand. One that finishes an
 order begins the next that waits, else drives towards the goal that it would have had, waits near
 it, and gives way. Orders that wait are handed out by lot when all are planned again, with new
 goals.

@@ -28,7 +28,7 @@ import numpy as np
 
 from qdenv.grid import MOVES, of_tiles
 from qdenv.simulation.mapf import chance
-from qdenv.simulation.mapf.fleet import FleetState, drive, place
+from qdenv.simulation.mapf.agents import FleetState, drive, place
 from qdenv.simulation.mapf.goals import check_playable
 from qdenv.simulation.mapf.planner import NOBODY, World, goal_table
 from qdenv.types import Array, InputError, TaskRule

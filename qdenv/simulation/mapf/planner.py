@@ -175,7 +175,7 @@ def serve(
 
 @shared
 def next_kind(kind: Counts, cycle: int) -> Counts:
-    """Return the kind of goal after one of `cycle` kinds; whoever is idle remains so."""
+    """Return the kind of goal after one of `cycle` kinds; an idle agent remains idle."""
     return (kind + 1) % cycle * (kind < cycle) + cycle * (kind == cycle)
 
 

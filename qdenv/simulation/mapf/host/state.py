@@ -115,7 +115,7 @@ def make_run(world: World, settings: RunSettings, agents: int, block: Block) -> 
 
 
 def place_agents(run: HostRun) -> None:
-    """Put the agents on distinct free cells and draw their first goals, as `fleet.place` does."""
+    """Put the agents on distinct free cells and draw their first goals, as `agents.place` does."""
     grid, seed = run.grid, run.settings.seed
     count, cells = run.position.size, np.flatnonzero(grid.free)
     # Ranked by their places in the layout: a planner's margin changes no start.
@@ -162,7 +162,7 @@ def drive_window(run: HostRun) -> None:
 
 @formula
 def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
-    """Move one agent by one step of its path and serve its goal, as `fleet.drive` does."""
+    """Move one agent by one step of its path and serve its goal, as `agents.drive` does."""
     grid = run.grid
     slot = run.goal[0, agent]
     cell, goal = run.paths[agent, step + 1], grid.goals[slot]
@@ -235,7 +235,7 @@ def _count_orders(run: HostRun, time: int) -> None:
 
 @kernel
 def _hand_out(run: HostRun, time: int) -> None:
-    """Give the orders that wait to idle agents by lot, with new goals, as `fleet._hand_out`."""
+    """Give the orders that wait to idle agents by lot, with new goals, as `agents.hand_out`."""
     counters, idle, seed = run.counters, len(run.grid.odds), run.settings.seed
     width = run.grid.width
     for agent in range(run.position.size):
