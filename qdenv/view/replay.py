@@ -107,9 +107,9 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     These are starts and goals: uint32 [A], the first cells; moves: uint8 [A, ceil(E / 3)], three
     digits to base 5 each, the first one the highest; counts: uint32 [A], how often each gets
     another goal; times, next and done: uint32 or uint8 [sum of counts], the step of each, the goal
-    from then on, and whether the step finished a task; headings: uint8 [E + 1], empty for robots.
-    A robot without an order has the goal 2^32 - 1. Raises InputError if a robot moved by more than
-    one cell.
+    from then on, and whether the step finished a task, left out where all did; headings: uint8
+    [E + 1], empty for robots. A robot without an order has the goal 2^32 - 1. Raises InputError if
+    a robot moved by more than one cell.
     """
     moves = np.full(motion.finished.shape, 255, np.uint8)
     steps = np.diff(motion.positions, axis=0)
@@ -126,13 +126,14 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     turns = motion.finished | (motion.goals[1:] != motion.goals[:-1])
     agents, times = np.nonzero(turns.T)
     headings = np.zeros(0) if motion.headings is None else motion.headings
-    return {
+    arrays = {
         "starts": motion.positions[0].astype("<u4"),
         "moves": (digits @ np.array([25, 5, 1], np.uint8)).astype(np.uint8),
         "goals": motion.goals[0].astype("<u4"),
         "counts": turns.sum(0).astype("<u4"),
         "times": (times + 1).astype("<u4"),
         "next": motion.goals[times + 1, agents].astype("<u4"),
-        "done": motion.finished[times, agents].astype(np.uint8),
         "headings": headings.astype(np.uint8),
     }
+    done = motion.finished[times, agents].astype(np.uint8)
+    return arrays if done.all() else arrays | {"done": done}

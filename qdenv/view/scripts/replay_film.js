@@ -44,16 +44,16 @@ async function readFilm() {
 async function readGoals(film) {
   const [first, counts] = [await numbers("goals", Uint32Array), await numbers("counts", Uint32Array)];
   const [times, next] = [await numbers("times", Uint32Array), await numbers("next", Uint32Array)];
-  const done = await numbers("done", Uint8Array);
+  const done = byId("packed-done") ? await numbers("done", Uint8Array) : null;
   let event = 0;
   for (let agent = 0; agent < film.agents; agent++) {
     const [from, end] = [event, event + counts[agent]];
-    film.tasks.push(times.subarray(event, end).filter((_, index) => done[from + index]));
+    film.tasks.push(times.subarray(event, end).filter((_, index) => !done || done[from + index]));
     let goal = first[agent];
     for (let time = 0; time <= film.steps; time++) {
       for (; event < end && times[event] === time; event++) {
         goal = next[event];
-        film.finishedBy[time] += done[event];
+        film.finishedBy[time] += done ? done[event] : 1;
       }
       film.goal[time * film.agents + agent] = goal;
     }
