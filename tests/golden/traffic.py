@@ -39,7 +39,11 @@ def leaves(runs: list[dict]) -> list[dict]:
     """Reduce runs to hashes, with the throughput as a number."""
     return [
         {"throughput": float(run["throughput"])}
-        | {name: sha(leaf) for name, leaf in run.items() if name != "throughput"}
+        | {
+            name: sha(leaf)
+            for name, leaf in run.items()
+            if leaf is not None and name != "throughput"
+        }
         for run in runs
     ]
 
