@@ -302,22 +302,22 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 34_018,
-    "files": 207,
-    "records": 202,
-    "public names": 1_280,
+    "lines": 33_271,
+    "files": 195,
+    "records": 193,
+    "public names": 1_234,
     "class names used twice": 0,
-    "functions of two lines": 345,
+    "functions of two lines": 336,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
     "pipeline:evaluate": 6,
-    "repairs.recipe:repair_layout": 110,
-    "run.loop:train": 48,
-    "ops.traffic:simulate": 129,
-    "ops.runs:generate": 199,
-    "simulation.mapf.pbs.planner:_plan_window": 54,
-    "simulation.mapf.negotiated.numba.rounds:_plan_window": 60,
+    "repairs.recipe:repair_layout": 98,
+    "run.loop:train": 43,
+    "ops.traffic:simulate": 124,
+    "ops.runs:generate": 184,
+    "simulation.mapf.pbs.planner:_plan_window": 51,
+    "simulation.mapf.negotiated.numba.rounds:_plan_window": 57,
 }
 
 

@@ -63,15 +63,14 @@ def test_a_run_outside_of_xla_is_the_one_inside_bit_for_bit(planner, keep):
     """Studies drive on the host without a program around it; seven agents have room for nine."""
     config = fleet.FleetConfig(agents=9, timesteps=53, planner=BACKENDS[planner][0])
     layout = random_layout(np.random.default_rng(5), 0.2)
-    program = _program(SERVICES, config, layout.shape, keep)
+    prepare, run, _ = _program(SERVICES, config, layout.shape, keep, priced=False)
 
     @jax.jit
     def inside(layout, key, count):
         return fleet.record(fleet.prepare(layout, SERVICES, config), key, config, count)
 
     for seed, agents in ((0, 7), (3, 9), (0, 10)):
-        world = program.prepare(layout)
-        outside, recording = jax.tree.map(np.asarray, program.run(world, seed, agents))
+        outside, recording = jax.tree.map(np.asarray, run(prepare(layout), seed, agents))
         traffic, tape = inside(layout, jax.random.key(seed), np.int32(agents))
         jax.tree.map(np.testing.assert_array_equal, outside, traffic)
         assert outside.finished.sum() > 0 or agents > 9

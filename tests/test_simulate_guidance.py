@@ -59,14 +59,14 @@ def simulate(
     rule: TaskRule = PLAIN,
 ) -> tuple[list[Traffic], list[np.ndarray]]:
     """Run and audit each seed; return what moved, and where the agents were."""
-    program = _program(rule, config, layout.shape, True, costs is not None)
+    prepare, run, _ = _program(rule, config, layout.shape, True, costs is not None)
     free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     fixed = () if costs is None else (fixed_costs(costs, free),)
-    world = program.prepare(layout, *fixed)
-    done = [program.run(world, seed, config.agents) for seed in range(seeds)]
+    world = prepare(layout, *fixed)
+    done = [run(world, seed, config.agents) for seed in range(seeds)]
     runs, recordings = zip(*jax.tree.map(np.asarray, done), strict=True)
-    for run, recording in zip(runs, recordings, strict=True):
-        assert audit(layout, rule, recording, run, config.horizon) == []
+    for traffic, recording in zip(runs, recordings, strict=True):
+        assert audit(layout, rule, recording, traffic, config.horizon) == []
     return list(runs), [recording.positions for recording in recordings]
 
 
