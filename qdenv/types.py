@@ -227,10 +227,9 @@ class Traffic(NamedTuple):
     waiting: Array  # float32, share of agent-steps without a move
     path_length: Array  # float32, mean number of moves per finished task
     congested_at: Array | int = 0  # int32, the end of the first such window; 0 for none
-    # Where tasks arrive at a rate: float32, share of agent-steps without an order; float32, mean
-    # number of timesteps that an order waited for an agent
-    idle: Array | None = None
-    order_wait: Array | None = None
+    # Both where tasks arrive at a rate.
+    idle: Array | None = None  # float32, share of agent-steps without an order
+    order_wait: Array | None = None  # float32, mean timesteps that an order waited for an agent
 
 
 class Measure(NamedTuple):

@@ -240,14 +240,14 @@ def test_table_5_and_figure_22_follow_from_the_runs_that_are_saved(folders):
     (row,) = (
         cells(line)
         for line in lines
-        if line.startswith("| warehouse-even | CMA-MAE + NCA | 33") and "high" in line
+        if line.startswith("| warehouse-even | CMA-MAE + NCA, zoo | 33") and "high" in line
     )
     low, high = wilson_interval(3, 4)
     error = np.std(moved[:3], ddof=1) / 3**0.5
     assert row[5:] == [f"3/4 ({low:.0%} to {high:.0%})", f"6.000 +- {error:.3f}", "6.74 (100 %)"]
-    (absent,) = (cells(line) for line in lines if "no repair of" in line)
-    assert absent[5:] == ["N/A", "no repair of 101 x 102", "N/A"]
-    assert sum("not made yet" in line for line in lines) == len(TABLE) - 2
+    absent = [cells(line)[5:] for line in lines if "no repair of" in line]
+    assert absent == 2 * [["N/A", "no repair of 101 x 102", "N/A"]]  # under both planners
+    assert sum("not made yet" in line for line in lines) == len(TABLE) - 3
     drawn = figure_22.draw(folders)
     (row,) = (cells(line) for line in drawn.lines if "4 of 350" in line)
     assert row[3:] == ["4 of 350", "5.00", "200", "75%"]  # the mean of all four

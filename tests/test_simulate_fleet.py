@@ -172,7 +172,7 @@ def test_a_layout_without_room_or_goals_scores_nothing():
         traffic, _ = run(prepare(jnp.asarray(layout)), jax.random.key(0), None)
         assert traffic.congested
         assert traffic.end_timestep == 0
-        assert all(np.isfinite(np.asarray(leaf)).all() for leaf in traffic)
+        assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(traffic))
         with pytest.raises(InputError, match=reason):
             check_playable(layout, PLAIN, 20)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -99,8 +100,7 @@ def test_a_run_is_the_same_recorded_or_not_inside_a_program_or_outside_alone_or_
         outside, outside_tape = outside_run(on_host, number, 37)
         jax.tree.map(np.testing.assert_array_equal, outside, counted)
         jax.tree.map(np.testing.assert_array_equal, outside_tape, tape)
-        for one, many in zip(outside, together, strict=True):
-            np.testing.assert_allclose(one, many, atol=1e-6)
+        jax.tree.map(partial(np.testing.assert_allclose, atol=1e-6), outside, together)
         assert counted.finished.sum() > 0
     starts = batch[1].positions[:, 0]
     assert not (starts[0] == starts[1]).all(), "seeds share no starts"

@@ -52,8 +52,7 @@ class HallConfig(DomainConfig):
     drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
     # shares of the tasks by the signs of stations, as i=1,o=3; all stations are alike where empty
     shares: str = ""
-    # tasks that arrive per timestep, two to an order; robots without one wait. Work never runs out
-    # where it is 0
+    # tasks that arrive per timestep, two to an order; they never run out where it is 0
     task_rate: TaskRate = 0.0
     # No option of its own: a file or zones become this map.
     # rows of numbers, one a cell: how likely an endpoint there is drawn as a goal. They belong to

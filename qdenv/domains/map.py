@@ -32,7 +32,7 @@ class MapConfig(DomainConfig):
     """The numbers of a map."""
 
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    # tasks that arrive per timestep; robots without one wait. Work never runs out where it is 0
+    # tasks that arrive per timestep; they never run out where it is 0
     task_rate: TaskRate = 0.0
     # rows of numbers, one a cell: how likely it is drawn as a goal; empty where all are alike
     demand: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()

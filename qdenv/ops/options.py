@@ -168,9 +168,9 @@ class GuideOptions(RunOptions, total=False):
 class ImproveOptions(RunOptions, total=False):
     """A search of better plans, with runs as `RunOptions` says."""
 
-    moves: PositiveInt  # most racks that the search "some racks" moves; 20 unless given
+    moves: PositiveInt  # most racks that "some racks" moves; else 20
     aisle: PositiveInt  # least width of aisles in cells, else the plan's
-    rack: str  # rows and columns of the smallest rack, as 2x6, else the plan's
+    rack: str  # shape of the smallest rack, as 2x6, else the plan's
     minutes: PositiveFloat | None  # for all searches; 10 unless evaluations are given
     evaluations: PositiveInt | None  # number of floors, or costs of moves, that each search tries
     seed: NonNegativeInt  # seed of the searches; 0 unless given

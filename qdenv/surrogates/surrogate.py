@@ -264,11 +264,8 @@ class Surrogate:
         Returns what is learnt, and the mean loss of the last epoch. This is `fit` in pieces, to
         show progress between them; all take the same key.
         """
-        config, scale = self._config, (fitted.centre, fitted.spread)
-        if config.standardise:  # by mean and deviation of the samples; 1 for what never varies
-            numbers = ring.samples.numbers
-            centre, variance = spread_of(numbers, jnp.arange(len(numbers)) < ring.known)
-            scale = centre, jnp.where(variance > 0, jnp.sqrt(variance), 1.0)
+        config = self._config
+        scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
         learner, mean = learn(
             self._loss(name, fitted.learners, scale),
             fitted.learners[name],
@@ -310,6 +307,16 @@ class Surrogate:
         if encoding.usage:
             usage = maps["score"][..., encoding.kinds]
         return score, repaired, usage
+
+
+def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
+    """Compute mean and standard deviation of the samples' numbers, each float32 [heads].
+
+    The deviation of a number that never varies is 1.
+    """
+    numbers, known = ring.samples.numbers, jnp.arange(len(ring.samples.numbers)) < ring.known
+    centre, variance = spread_of(numbers, known)
+    return centre, jnp.where(variance > 0, jnp.sqrt(variance), 1.0)
 
 
 def errors(predicted: jax.Array, truth: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
