@@ -115,7 +115,7 @@ def check_writable(path: Path) -> None:
     """Raise InputError if a file cannot be written, or made, because something is read-only."""
     if path.exists() and not path.is_file():
         return  # a device or a pipe
-    folder = next(one for one in path.absolute().parents if one.exists())
+    folder = next(one for one in Path(os.path.realpath(path)).parents if one.exists())
     if not folder.is_dir():
         raise InputError(f"{path}: cannot be written ({folder} is a file): choose another place")
     for place in (folder, path) if path.exists() else (folder,):
