@@ -146,7 +146,7 @@ def published(name: str) -> Path:
     return Path(folder) / "guidance" / f"{name}.json"
 
 
-def find(name: str, seed: int, simulations: int) -> None:
+def find_costs(name: str, seed: int, simulations: int) -> None:
     """Find costs for the floor of a case, one simulation an evaluation, and write them."""
     case: Case = look_up(CASES, name, "case")
     plan = read_plan(published(case.floor), case.domain)
@@ -201,7 +201,7 @@ def main(
     register()
     if search:
         for name, seed in itertools.product(cases, range(seeds)):
-            find(name, seed, search)
+            find_costs(name, seed, search)
         return
     rows = [
         row

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from typing import Literal
+from collections.abc import Callable
+from typing import Any, Literal
 
 from qdenv.lazy import jax
+from qdenv.types import InputError
 
 Backend = Literal["auto", "xla", "host"]  # where a planner runs; auto: host on a CPU, else xla
 ACCELERATOR_CHUNK = 10  # layouts simulated by one call on an accelerator
@@ -37,6 +39,17 @@ def count() -> int:
 def threads() -> int:
     """Count the host threads that feed the device: one per core where the cores are the device."""
     return count_cores() if on_cpu() else 1
+
+
+def check_memory(make: Callable, argument: Any, what: str, fewer: str) -> None:
+    """Raise InputError if what `make` returns is larger than the memory here; `fewer`: advice.
+
+    Nothing is computed: the shapes are known before.
+    """
+    leaves = jax.tree.leaves(jax.eval_shape(lambda: make(argument)))
+    needed = sum(leaf.size * leaf.dtype.itemsize for leaf in leaves)
+    if needed > os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"):
+        raise InputError(f"{what} takes {needed / 2**30:,.0f} GiB of memory: choose {fewer}")
 
 
 def count_cores() -> int:

@@ -302,10 +302,10 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_276,
+    "lines": 33_284,
     "files": 195,
     "records": 193,
-    "public names": 1_234,
+    "public names": 1_235,
     "class names used twice": 0,
     "functions of two lines": 336,
 }
@@ -315,7 +315,7 @@ MOST_REACHED = {
     "repairs.recipe:repair_layout": 98,
     "run.loop:train": 43,
     "ops.traffic:simulate": 124,
-    "ops.runs:generate": 184,
+    "ops.runs:generate": 183,
     "simulation.mapf.pbs.planner:_plan_window": 51,
     "simulation.mapf.negotiated.numba.rounds:_plan_window": 57,
 }

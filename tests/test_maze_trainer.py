@@ -328,11 +328,15 @@ def test_agents_of_different_sizes_have_no_mean(tmp_path):
         ({"ppo": ppo.PPOConfig(lanes=8, minibatches=3)}, "divide"),
         ({"warm_start": "/nowhere.npz"}, "there is no agent"),
         ({"anchor": 0.5}, "add --warm-start"),
+        ({"ppo": ppo.PPOConfig(lanes=100_000_000)}, "GiB of memory: choose fewer lanes"),
+        ({"units": 1_000_000}, "GiB of memory"),
+        ({"bank": 2_000_000_000}, "GiB of memory"),
     ],
 )
 def test_impossible_runs_are_refused(tmp_path, change, reason):
     with pytest.raises(InputError, match=reason):
         train_agent(replace(CONFIG, **change), tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_gradients_flow_through_time(recorded):

@@ -149,7 +149,7 @@ def test_nothing_is_written_through_links_of_a_run(name, run, tmp_path):
 
 
 def test_more_memory_than_there_is_is_refused_before_a_folder_exists(tmp_path, monkeypatch):
-    monkeypatch.setattr(loop.os, "sysconf", lambda name: 10)  # a hundred bytes
+    monkeypatch.setattr("os.sysconf", lambda name: 10)  # a hundred bytes
     with pytest.raises(InputError, match="GiB of memory: choose fewer emitters"):
         loop.train(SHORT, tmp_path / "run", progress=False)
     assert not list(tmp_path.iterdir())

@@ -16,6 +16,7 @@ from qdenv.agent import levels
 from qdenv.agent.evaluate import default_horizon, draw_mazes, run_batch
 from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn, reset_env, unroll
 from qdenv.agent.settings import TrainConfig, refuse_second_training
+from qdenv.devices import check_memory
 from qdenv.io.arrays import read_state, write_arrays, write_state
 from qdenv.io.files import locked, write_json
 from qdenv.simulation.maze import policy
@@ -240,6 +241,7 @@ def train_agent(
     """
     if not resume:
         refuse_second_training(out)  # before a lock is left there
+    check_memory(start, config, "this training", "fewer lanes, units or levels in the bank")
     with locked(out):
         state, used = start(config), 0.0
         checkpoint = out / "checkpoint.npz"

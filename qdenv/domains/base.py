@@ -331,8 +331,16 @@ def make_domain(config: Any) -> Domain:
     registered, or the drawing of the cells to keep has another shape, or a cell names no tile.
     """
     domain: Domain = DOMAINS.make(config)
-    if config.around:
-        domain = replace(domain, measures=(_racks_moved(domain),))
+    if config.around:  # the only axis counts the racks of the plan that are elsewhere
+        driven = domain.simulator.tasks.traversable if domain.simulator.tasks else ""
+        racks = "".join(tile for tile in domain.generated if tile not in driven)
+        was = np.asarray(of_tiles(parse(config.around, domain.tiles), racks, domain.tiles))
+        most = int(was.sum()) + 1
+
+        def moved(layout: jax.Array, runs: Any) -> jax.Array:
+            return (of_tiles(layout, racks, domain.tiles) != was).sum() / 2
+
+        domain = replace(domain, measures=(Measure("racks moved", 0, most, most, moved),))
     own, names = domain.rules, domain.names
     if own is not None:
         domain = replace(domain, rules=lambda: own()._replace(names=names))
@@ -370,18 +378,6 @@ def _doors(walls: np.ndarray) -> np.ndarray:
             for before, after in pairwise(np.flatnonzero(side)):
                 found[before + 1 : after] = after - before <= _DOOR + 1
     return doors
-
-
-def _racks_moved(domain: Domain) -> Measure:
-    """Make the axis that counts the racks of a plan that are no longer where they were."""
-    driven = domain.simulator.tasks.traversable if domain.simulator.tasks else ""
-    racks = "".join(tile for tile in domain.generated if tile not in driven)
-    was = np.asarray(of_tiles(parse(domain.config.around, domain.tiles), racks, domain.tiles))
-
-    def value(layout: jax.Array, runs: Any) -> jax.Array:
-        return (of_tiles(layout, racks, domain.tiles) != was).sum() / 2
-
-    return Measure("racks moved", 0, int(was.sum()) + 1, int(was.sum()) + 1, value)
 
 
 def find_domain(name: str) -> Domain:

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import math
-import os
 import shlex
 import time
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qdenv.devices import check_memory
 from qdenv.guidance import unscaled_costs
 from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.io.arrays import write_arrays
@@ -53,11 +53,8 @@ def train(
     start = find_start(config)
     experiment = build_experiment(config, start)
     # The state of the search alone, before a folder exists.
-    state = jax.tree.leaves(jax.eval_shape(experiment.algorithm.init, experiment.search_key))
-    needed = sum(leaf.size * leaf.dtype.itemsize for leaf in state)
-    if needed > os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"):
-        fewer = "choose fewer emitters, a smaller batch or a smaller generator"
-        raise InputError(f"this search takes {needed / 2**30:,.0f} GiB of memory: {fewer}")
+    fewer = "fewer emitters, a smaller batch or a smaller generator"
+    check_memory(experiment.algorithm.init, experiment.search_key, "this search", fewer)
     run = RunDirectory(Path(path))
     run.demand_new()  # before a lock is left there
     with run.locked():

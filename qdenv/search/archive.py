@@ -213,7 +213,7 @@ class GridArchive(MapElitesRepertoire):
         Args:
             solutions: pytree of [B, ...].
             objective: float [B]; a row that is not finite enters nothing.
-            measures: float [B, M]; likewise.
+            measures: float [B, M]; a row that is not finite enters nothing.
             extras: arrays [B, ...] by name, at least those declared at construction.
             success: bool [B], False for rows that enter nothing.
 

@@ -97,7 +97,7 @@ def drive(
         kind=kind,
         goal=goal,
         remaining_service=remaining,
-        # Whoever is idle gives way to all others.
+        # An idle agent gives way to all others.
         age=jnp.where(finished | (kind == cycle), 0, fleet.age + 1),
         legs=fleet.legs + finished,
         orders=orders,

@@ -182,7 +182,7 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
     run.remaining_service[agent] = left
     run.age[agent] += 1
     if idle:
-        run.age[agent] = 0  # whoever is idle gives way to all others
+        run.age[agent] = 0  # an idle agent gives way to all others
         run.counters.idle += time < run.settings.timesteps
     if run.block.positions.size:
         run.block.positions[time, agent] = cell
