@@ -127,8 +127,8 @@ def _numbers(facts: Mapping[str, Any]) -> list[str]:
     if "idle_share" in facts:
         idle, wait = facts["idle_share"], facts["order_wait"]
         lines.append(
-            f"orders       {idle:.0%} of the robots' time is without one, one waits {wait:.1f} "
-            "timesteps for a robot"
+            f"orders       robots have none for {idle:.0%} of their time; "
+            f"one waits {wait:.1f} timesteps for a robot"
         )
     smooth, rate = facts["mean_throughput"], facts["success_rate"]
     if rate < 1:
