@@ -10,7 +10,7 @@ from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.host.distances import DistanceFields
 from qdenv.simulation.mapf.host.state import GridMap
 from qdenv.simulation.mapf.pbs import path as paths
-from qdenv.simulation.mapf.pbs.workspace import DONE, JointPlan, PartialOrder, Workspace
+from qdenv.simulation.mapf.pbs.workspace import SERVED, JointPlan, PartialOrder, Workspace
 from qdenv.simulation.mapf.planner import NOBODY
 
 UP, DOWN = 0, 1  # from an agent to those above it, or to those below
@@ -234,7 +234,7 @@ def replan(work: Workspace, fields: DistanceFields, grid: GridMap, agent: int, s
         return False
     bound = min(goals.begin[agent], last) + 1
     # In the published planner, waiting at the start has precedence there; not of idle agents.
-    precedes = work.published and goals.leg[agent] < DONE
+    precedes = work.published and goals.leg[agent] < SERVED
     while precedes and bound <= last and search.cells[bound] == goals.start[agent]:
         bound += 1
     plan.changed[change], plan.change_path[change, OLD] = agent, plan.path[agent]

@@ -20,9 +20,9 @@ from qdenv.native import formula, inlined, kernel
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.state import GridMap, sift
 from qdenv.simulation.mapf.pbs.workspace import (
-    DONE,
     HOLDING,
     NO_STATE,
+    SERVED,
     Goals,
     JointPlan,
     PathSearch,
@@ -125,7 +125,7 @@ def find_path(
             search.bucket[delay, t] = search.following[state]
         search.numbers.delay = delay
         layer = state >> search.layer_bit
-        if t == window or (layer % HOLDING == DONE and t >= search.horizon):
+        if t == window or (layer % HOLDING == SERVED and t >= search.horizon):
             break
         t = _expand(search, fields, grid, goals, agent, state, ties)
     # Walk back from the last state; between two states the agent is served where it is.
@@ -197,7 +197,7 @@ def _steps_left(
     fields: DistanceFields, grid: GridMap, goals: Goals, agent: int, leg: int, cell: int
 ) -> int:
     """Count the steps, or costs, from a cell to the last known goal, through those before it."""
-    if leg == DONE:
+    if leg == SERVED:
         return 0
     steps = distance(fields, grid, goals.goal[leg, agent], cell)
     return steps + goals.between[agent] if leg == 0 else steps
@@ -221,7 +221,7 @@ def _expand(
     steps, latest = _steps_left(fields, grid, goals, agent, leg, cell), t
     for turn in range(NUM_MOVES):
         # Of equals what is opened last is taken first: to wait, only once all goals are served.
-        way = (turn + 1) % NUM_MOVES if leg == DONE else turn
+        way = (turn + 1) % NUM_MOVES if leg == SERVED else turn
         # Two of the bits choose the first direction, the third whether numbers then rise or fall.
         move = 0 if way == 0 else 1 + ((ties + ((ties >> 1) & 2 | 1) * way) & 3)
         to = cell + grid.steps[move]
@@ -236,7 +236,7 @@ def _expand(
             if move > 0 and _bits_at(search, t, to) >> (1 + ((move - 1) ^ 1)) & 1:
                 continue
         next_t, next_leg, goes_on = t + 1, leg, leg
-        if leg == DONE:
+        if leg == SERVED:
             step = 0  # nothing is left to be late for
             if goals.holds[to]:
                 next_t = max(t + 1, horizon)

@@ -21,9 +21,8 @@ from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.run import DONE, FIELDS_FULL, PLAN_FULL, Fallback, compile_windows
 from qdenv.simulation.mapf.host.state import GridMap, HostRun, service_time
-from qdenv.simulation.mapf.pbs import conflicts
+from qdenv.simulation.mapf.pbs import conflicts, workspace
 from qdenv.simulation.mapf.pbs.settings import MAX_WINDOW, PbsConfig
-from qdenv.simulation.mapf.pbs.workspace import DONE as LAST
 from qdenv.simulation.mapf.pbs.workspace import FIRST_DEPTH, Goals, Workspace, make_workspace
 from qdenv.simulation.mapf.planner import KNOWN, NOBODY, Planner
 
@@ -86,7 +85,8 @@ def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
             goals.service_time[leg, agent] = service_time(run, agent, leg)
         goals.leg[agent] = run.remaining_service[agent] > 0
         if run.kind[agent] == len(grid.odds):
-            goals.leg[agent] = LAST if run.position[agent] == goals.cell[0, agent] else 1
+            at_place = run.position[agent] == goals.cell[0, agent]
+            goals.leg[agent] = workspace.SERVED if at_place else 1
         second = run.goal[1, agent]
         goals.between[agent] = distance(fields, grid, second, goals.cell[0, agent])
 

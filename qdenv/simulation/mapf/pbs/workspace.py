@@ -13,8 +13,8 @@ from qdenv.simulation.mapf.host.state import HostRun
 from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.planner import KNOWN, NOBODY
 
-DONE = KNOWN  # the leg of an agent that has served both known goals; legs 0 and 1 lead to one
-HOLDING = DONE + 1  # added to the leg while an agent stays at its start against all reservations
+SERVED = KNOWN  # the leg of an agent that has served both known goals; legs 0 and 1 lead to one
+HOLDING = SERVED + 1  # added to the leg while an agent stays at its start against all reservations
 NO_STATE = -1
 FIRST_DEPTH = 512  # nodes of a branch that there are arrays for at first
 _CHANGES_PER_NODE = 16
@@ -36,7 +36,7 @@ class Goals(NamedTuple):
 
     start: np.ndarray  # int64 [A], where they are
     begin: np.ndarray  # int64 [A], timesteps of the service in progress; until then the agent stays
-    # int64 [A], the leg on which each sets out: `DONE` of an idle agent, and 1 until it is at its
+    # int64 [A], the leg on which each sets out: `SERVED` of an idle agent, and 1 until it is at its
     # place; a service in progress is behind it
     leg: np.ndarray
     goal: np.ndarray  # int64 [2, A], slots of the goals
