@@ -89,9 +89,12 @@ def test_a_file_that_is_named_may_be_replaced_and_that_is_said(folder):
 
 def test_a_picture_lies_beside_its_data(folder):
     assert place(Path("a/table.csv"), "x.csv").beside(".png") == Place(Path("a/table.png"), False)
-    (folder / "table_frames.png").touch()
-    beside = place(Path("table.csv"), "x.csv").beside("_frames.png")
-    assert beside == Place(Path("table_frames.png"), True)
+    (folder / "table.png").write_text("of somebody else, there before the table")
+    beside = place(Path("table.csv"), "x.csv").beside(".png")
+    assert beside == Place(Path("table-2.png"), False, True)
+    (folder / "table.csv").touch()
+    beside = place(Path("table.csv"), "x.csv").beside(".png")
+    assert beside == Place(Path("table.png"), True)
 
 
 @pytest.mark.parametrize(

@@ -43,16 +43,20 @@ class Place(NamedTuple):
 
     path: Path  # the file
     replaces: bool  # it exists already, and was named by the user
-    automatic: bool = False  # its name was chosen here, and replaces nothing
+    automatic: bool = False  # its name was chosen here, and it replaces nothing
 
     def __str__(self) -> str:
         """Return the path as commands print it."""
         return f"{self.path} (replaced)" if self.replaces else str(self.path)
 
     def beside(self, ending: str) -> Place:
-        """Return the place of another result: the same name, another ending."""
+        """Return the place of another result: the same name, another ending.
+
+        It replaces a file only where this place does: a picture of that name that was there before
+        its data is somebody's, and the next free name is taken.
+        """
         path = self.path.with_name(f"{self.path.stem}{ending}")
-        if self.automatic and ending:  # else it is a folder
+        if ending and (self.automatic or not self.replaces and path.exists()):
             return Place(reserve(path), False, True)
         return Place(path, path.exists())
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # imports the simulator
     from qdenv.study.traffic import Study
 
 _SHOWN = 10  # broken rules that are printed
+_NOTABLE = 0.05  # share of time in which an agent waits on a cell; below it is no news
 
 
 def simulate(
@@ -153,9 +154,9 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
     half = facts["cells_with_half_of_waiting"]
     where = f", half of it on {half} of {free} free cells" if half else ""
     lines.append(f"waiting      {facts['waiting_share']:.1%} of the agents' time{where}")
-    spots = [one for one in facts["worst_cells"] if one["waiting"] >= 0.005]
+    spots = [one for one in facts["worst_cells"] if one["waiting"] >= _NOTABLE]
     if not spots:
-        return [*lines, "no jam: on no cell an agent waits 1% of the time"]
+        return [*lines, f"no jam: no cell holds a waiting agent {_NOTABLE:.0%} of the time"]
     names = [plan.domain.names.get(tile, repr(tile)) for tile in plan.domain.tiles]
     table = [("rank", "row", "column", "tile", "of all waiting", "an agent waits", "per visit")]
     for rank, spot in enumerate(spots, 1):
