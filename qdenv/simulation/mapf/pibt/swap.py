@@ -9,7 +9,7 @@ to where the passage ends.
 from typing import Any
 
 from qdenv.grid import NUM_MOVES
-from qdenv.native import formula, kernel
+from qdenv.native import formula, inlined, kernel
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.state import HostRun
 from qdenv.simulation.mapf.planner import NOBODY
@@ -17,7 +17,7 @@ from qdenv.simulation.mapf.planner import NOBODY
 _Rollout = Any  # `numba.Rollout`, which imports this file
 
 
-@kernel
+@inlined
 def pull(run: HostRun, fields: DistanceFields, rollout: _Rollout, agent: int, t: int) -> None:
     """Before its first try, turn round an agent that must swap, and let its partner follow it.
 
@@ -52,7 +52,7 @@ def pull(run: HostRun, fields: DistanceFields, rollout: _Rollout, agent: int, t:
         rollout.partner[agent] = partner
 
 
-@kernel
+@inlined
 def _find_partner(
     run: HostRun, fields: DistanceFields, rollout: _Rollout, agent: int, t: int
 ) -> int:
@@ -82,7 +82,7 @@ def _find_partner(
     return NOBODY
 
 
-@kernel
+@inlined
 def _step_back(run: HostRun, rollout: _Rollout, puller: int, pusher: int) -> tuple[int, int]:
     """Return how many ways, up to two, lead from the puller's cell away from the pusher's; one.
 
