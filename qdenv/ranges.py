@@ -6,6 +6,7 @@ come from: a command line, a file, Python.
 
 import math
 import operator
+import re
 from collections.abc import Iterator
 from functools import cache
 from numbers import Real
@@ -67,6 +68,17 @@ def check_range(name: str, value: Any, kind: Any) -> None:
             if limit is not None and not holds(number, limit):
                 expected = f"{phrase} {limit}" if math.isfinite(number) else "a finite number"
                 raise InputError(f"{label} must be {expected}, not {number}")
+
+
+def read_range(name: str, value: Any) -> tuple[int, int]:
+    """Return the fewest and the most that 1100, or "1000:1200", allows; InputError for others."""
+    numbers = re.fullmatch(r"(-?\d{1,9})(?::(\d{1,9}))?", str(value), re.ASCII)
+    low, high = (int(numbers[1]), int(numbers[2] or numbers[1])) if numbers else (0, -1)
+    if low > high:
+        raise InputError(f"{name} {value!r}: write 1100, or a range 1000:1200")
+    if low < 0:
+        raise InputError(f"{value} {name}: give 0 or more")
+    return low, high
 
 
 def _has_range(kind: Any) -> bool:

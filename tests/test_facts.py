@@ -71,7 +71,11 @@ def test_facts_are_defaults_and_options_win(capsys):
     assert facts["agents"] == 3
     assert facts["tasks_per_hour"] == pytest.approx(facts["mean_throughput"] * 1200)
     assert Fleet({}).per_hour is None
-    for stated, robots, bounds in (({}, 5, (3, 2)), ({"agents": 2, "shelves": 4}, 2, (4, 0))):
+    for stated, robots, bounds in (
+        ({}, 5, (3, 2)),
+        ({"agents": 2, "shelves": 4}, 2, (4, 0)),
+        ({"shelves": "2:6"}, 5, (2, 4)),
+    ):
         config, _ = resolve_plan(find_preset("quick"), stated, read_plan("plan.txt"))
         domain = config.evaluation.domain
         assert domain.fleet.agents == robots
@@ -88,12 +92,13 @@ def test_files_that_keep_is_drawn_in_lie_beside_the_plan(folder):
 @pytest.mark.parametrize("ending", [".txt", ".csv"])
 def test_results_in_text_remember_what_must_stay(ending):
     save(facts=None, rows=TILES)
-    repair = ["repair", "plan.txt", "--polish", "none", "--shelves", "3"]
+    repair = ["repair", "plan.txt", "--polish", "none", "--shelves", "2:3"]
     assert run([*repair, "--keep", "0:2,0:6", "--out", f"new{ending}"]) == 0
     assert read_plan(f"new{ending}").keep[0] == "w.....????#"
+    assert read_plan(f"new{ending}").fitted().rules().counts[0] == ("@", 2, 3)
     assert run(["check", f"new{ending}", "--shelves", "3"]) == 0
     # What is found without: nothing is beside it.
-    assert run([*repair, "--out", f"plain{ending}"]) == 0
+    assert run([*repair[:-1], "3", "--out", f"plain{ending}"]) == 0
     assert not Path("plain.toml").exists()
     even = ["layout", "human", "--rows", "9", "--cols", "12", "--out", f"even{ending}"]
     assert run(even) == 0
@@ -118,7 +123,7 @@ def test_a_file_of_hers_is_not_replaced(caplog):
         ('legend = {SS = "@"}', "one sign stands for one tile"),
         ('legend = {S = "q", P = "w"}', "unknown tile 'q'"),
         ("legend = {S = 3}", "legend['S']: must be a word"),
-        ('shelves = "5:3"', 'write 1100, or a range "1000:1200"'),
+        ('shelves = "5:3"', "write 1100, or a range 1000:1200"),
         ("shelves = true", "shelves: must be"),
         ("shelves = 99", "no repair exists"),
         ('keep = "zz"', "keep 'zz': give tiles like w#"),

@@ -18,7 +18,7 @@ MISTAKES = {
     "simulate plan.txt extra": "unknown argument extra",
     "simulate plan.txt --agents five": "--agents must be an integer, not 'five'",
     "simulate plan.txt --agents": "--agents needs a value",
-    "repair plan.txt --shelves 1.5": "--shelves must be an integer, not '1.5'",
+    "repair plan.txt --shelves 1.5": "shelves '1.5': write 1100, or a range 1000:1200",
     "simulate plan.txt --seconds-per-step x": "--seconds-per-step must be a number, not 'x'",
     "train quick --archive a b c": "--archive does not have the form",
     "train quick --archive 0 9 10000 0 1 10000": "100,000,000 cells: give 1,000,000 at most",

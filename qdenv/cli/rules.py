@@ -206,6 +206,8 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     if chosen.generator is not None:
         config = configs.choose_generator(config, chosen.generator)
     config = configs.choose_planner(config, chosen.effort, chosen.planner)
+    domain = make_domain(config.evaluation.domain)
+    ranged = {name for name in domain.counted if hasattr(domain.config, f"spare_{name}")}
     if (planner := configs.planner_of(config)) is not None:
         _check_planner_options(rest, planner)
     check_strategy(chosen.strategy or "")  # the parser would not say why
@@ -222,8 +224,14 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
             "guided-nca draws costs, too",
         ),
         # `Execution` has the number of workers, too.
-        *(one for one in _settings(config) if one[0] != "evaluation__repair__workers"),
-        *_demand(make_domain(config.evaluation.domain)),
+        *(
+            (name, Annotated[args.Range, get_args(kind)[-1]], text)
+            if name.rpartition("__")[2] in ranged
+            else (name, kind, text)
+            for name, kind, text in _settings(config)
+            if name != "evaluation__repair__workers"
+        ),
+        *_demand(domain),
     ]
     # An algorithm comes with the generator that it searches.
     implied = {} if chosen.algorithm is None else {"generator": config.evaluation.generator}
@@ -233,13 +241,14 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
 def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructConstructorSpec:
     """Make an option for each number of tiles, and setting of rules, of a command's domain."""
     many = Annotated[tuple[int, ...], arg(help_behavior_hint="(default: )")]
-    number = int if get_origin(kind) is None else many
-    domain = _domain_of(chosen, rest)
-    listed = [
-        (name, number, f"exact number of {domain.names.get(tile, '')} tiles ({tile})")
-        for name, tile in domain.counted.items()
-    ]
-    if number is int:  # of one layout
+    one, domain = get_origin(kind) is not tuple, _domain_of(chosen, rest)
+    listed = []
+    for name, tile in domain.counted.items():
+        about = f"exact number of {domain.names.get(tile, '')} tiles ({tile})"
+        ranged = one and hasattr(domain.config, f"spare_{name}")
+        number = args.Range if ranged else int if one else many
+        listed.append((name, number, about + ", or 1000:1200" * ranged))
+    if one:  # of one layout
         listed += [one for one in _settings(domain.config) if one[0] in domain.rule_settings]
     return _options(listed)
 

@@ -15,7 +15,7 @@ from qdenv import devices, score
 from qdenv.generators import Canvas, inside_frame
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.lazy import jax, jnp
-from qdenv.ranges import Ranged
+from qdenv.ranges import Ranged, read_range
 from qdenv.registry import Registry
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
@@ -279,13 +279,15 @@ class Domain:
         scaled = {name: round(one * empty.area / self.area) for name, one in self.numbers.items()}
         size = self.known_size(rows, cols)
         chosen = scaled | dict(size.numbers if size else {}) | dict(numbers or {})
-        for name, number in chosen.items():
-            if name in self.rule_settings:
-                continue
+        for name in chosen.keys() - self.rule_settings:
             if name not in self.counted:
                 raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
-            if number < 0:
-                raise InputError(f"{number} {name}: give 0 or more")
+            low, high = read_range(name, number := chosen[name])
+            spare = f"spare_{name}"
+            if hasattr(self.config, spare):
+                chosen |= {name: low, spare: high - low} if name in (numbers or {}) else {}
+            elif high > low:
+                raise InputError(f"{name} {number}: a range is for halls: give one number")
         return make_domain(replace(empty.config, **chosen))
 
     def demand_plan(self) -> None:

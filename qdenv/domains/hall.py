@@ -43,7 +43,8 @@ class HallConfig(DomainConfig):
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    shelves: int = 240  # number of shelves, at least
+    # number of shelves, at least; for a plan also a range like 1000:1200
+    shelves: NonNegativeInt = 240
     spare_shelves: NonNegativeInt = 0  # how many more there may be; exactly as many unless given
     aisle: PositiveInt = 1  # least width of aisles in cells
     # rows and columns of the smallest rack, as 2x6, along either axis; any shape where empty

@@ -13,7 +13,7 @@ from typing import Any
 
 from qdenv.io.files import MEGABYTE, damaged, read_text, write_atomically
 from qdenv.io.records import structured
-from qdenv.ranges import PositiveFloat, PositiveInt, Ranged
+from qdenv.ranges import PositiveFloat, PositiveInt, Ranged, read_range
 from qdenv.types import InputError, about
 
 FENCE = "+++"  # a line before and after facts above a drawing
@@ -57,17 +57,6 @@ class PlanFacts(Ranged):
         facts = {name: one for name in names if (one := getattr(self, name)) is not None}
         return {"facts": facts} if facts else {}
 
-    @property
-    def shelf_range(self) -> tuple[int, int] | None:
-        """The fewest and the most shelves; None where they are as many as in the plan."""
-        if self.shelves is None:
-            return None
-        low, colon, high = str(self.shelves).partition(":")
-        high = high if colon else low
-        if not (low.isdecimal() and high.isdecimal() and int(low) <= int(high)):
-            raise InputError(f'shelves = {self.shelves!r}: write 1100, or a range "1000:1200"')
-        return int(low), int(high)
-
 
 def parse_facts(text: str, source: Path) -> dict[str, Any]:
     """Parse TOML; raise DamagedError, which names the `source`, if it is none."""
@@ -94,7 +83,8 @@ def make_facts(content: Mapping[str, Any], source: Path) -> PlanFacts:
     own["settings"] = {name: one for name, one in content.items() if name not in FACTS}
     facts = structured(own, PlanFacts, source)
     with about(str(source)):
-        _ = facts.shelf_range
+        if facts.shelves is not None:
+            read_range("shelves", facts.shelves)
         for sign, tile in facts.legend.items():
             if len(sign) != 1 or not isinstance(tile, str) or len(tile) != 1:
                 raise InputError(f"legend: {sign} = {tile!r}: one sign stands for one tile")

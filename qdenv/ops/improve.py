@@ -92,7 +92,8 @@ def improve(
     if minutes is None and evaluations is None:
         minutes = _MINUTES
     numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
-    rules: dict[str, Any] = {name: given.pop(name) for name in ("aisle", "rack") if name in given}
+    named = ("shelves", "aisle", "rack")
+    rules: dict[str, Any] = {name: given.pop(name) for name in named if name in given}
     options = args.Fleet(given)
     plan = options.read_plan(layout)
     agents, timesteps, note = options.usual(plan, agents)

@@ -100,8 +100,12 @@ Out: TypeAlias = Annotated[str | Path | None, option("FILE", Path)]
 Picture: TypeAlias = Annotated[str | Path | None, option("[FILE]", Path)]
 # Of a picture, in inches; on command lines also column or page of a journal
 Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_width)]
-# Exact numbers of tiles by name; one, or one for each of several sizes
-Number: TypeAlias = Annotated[int, Mark.TILES]
+# How many there are to be: 1100, or "1000:1200"
+Range: TypeAlias = Annotated[
+    int | str, option("N|LOW:HIGH", lambda word: int(word) if word.isdecimal() else word)
+]
+# Numbers of tiles by name, in a hall also ranges; one, or one for each of several sizes
+Number: TypeAlias = Annotated[Any, Mark.TILES]
 Numbers: TypeAlias = Annotated[Sequence[int], Mark.TILES]
 # What must stay, see `keep_from`; on command lines w#+0:7,33:40+FILE
 KeepCells: TypeAlias = Annotated[Keep | None, option("TILES|ROWS,COLUMNS|FILE", str)]
@@ -169,6 +173,7 @@ class ImproveOptions(RunOptions, total=False):
     """A search of better plans, with runs as `RunOptions` says."""
 
     moves: PositiveInt  # most racks that "some racks" moves; else 20
+    shelves: Range  # how many there are to be, as 1100 or 1000:1200; else as in the plan
     aisle: PositiveInt  # least width of aisles in cells, else the plan's
     rack: str  # shape of the smallest rack, as 2x6, else the plan's
     minutes: PositiveFloat | None  # for all searches; 10 unless evaluations are given

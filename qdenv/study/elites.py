@@ -364,7 +364,7 @@ def tile(
     larger = plan.domain.fitted(plan.layout).resized(*shape, numbers)
     tiled = tile_layout(larger, plan.layout)
     # Walls and stations are repeated, too.
-    grown = Unrepaired(larger.fitted(tiled, larger.numbers), None, tiled, 0)
+    grown = Unrepaired(larger.fitted(tiled, larger.numbers | dict(numbers or {})), None, tiled, 0)
     sized, (rows, cols) = finish(grown, config or RepairConfig(), seed), larger.margin
 
     def adapt(grid: np.ndarray) -> np.ndarray:

@@ -63,20 +63,16 @@ class Plan(NamedTuple):
             return f"read as {self.domain.name} (--domain chooses another){closed}"
         return f"domain {self.domain.name}{closed}"
 
-    def fitted(self, numbers: Mapping[str, int] | None = None, keep: Keep | None = None) -> Domain:
+    def fitted(self, numbers: Mapping[str, Any] | None = None, keep: Keep | None = None) -> Domain:
         """Make the domain that the plan is measured by: its size, its numbers, what must stay.
 
-        The exact numbers of tiles are the plan's own unless given; `keep` says what must stay
+        The numbers of tiles are the plan's own unless given, 6 or "3:9"; `keep` says what must stay
         beyond what does by itself and what the plan's file says (`keep_from`). Raises InputError if
         it is no such list, or no layout can have these cells.
         """
-        domain = self.domain
-        if "shelves" in (numbers or {}) and getattr(domain.config, "spare_shelves", False):
-            # A number of shelves replaces the plan's range.
-            domain = make_domain(replace(domain.config, spare_shelves=0))
-        if self.facts.shelf_range:
-            numbers = {"shelves": self.facts.shelf_range[0]} | dict(numbers or {})
-        domain = domain.fitted(self.layout, numbers)
+        if self.facts.shelves is not None:
+            numbers = {"shelves": self.facts.shelves} | dict(numbers or {})
+        domain = self.domain.fitted(self.layout, numbers)
         if self.keep:
             with about(f'{self.name}: its file\'s key "keep"'):
                 domain = make_domain(replace(domain.config, keep=self.keep))
@@ -129,13 +125,8 @@ def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
             settings[name] = f"{settings[name]}"  # drop = 5 as well as drop = "w=5,i=20"
         else:
             settings[name] = structured(settings[name], kinds[name], f"{path}, {name}")
-    if facts.shelf_range:
-        if "shelves" not in domain.counted:
-            raise InputError(f"{path}: {domain.name} has no shelves: leave the fact out")
-        low, high = facts.shelf_range
-        if high > low and not hasattr(domain.config, "spare_shelves"):
-            raise InputError(f"{path}: a range of shelves is for halls: give one number")
-        settings |= {"spare_shelves": high - low} if high > low else {}
+    if facts.shelves is not None and "shelves" not in domain.counted:
+        raise InputError(f"{path}: {domain.name} has no shelves: leave the fact out")
     tasks = {name: settings.pop(name) for name in domain.task_settings if name in settings}
     with about(str(path)):
         plan = plan._replace(domain=make_domain(replace(domain.config, **settings)), facts=facts)
@@ -203,11 +194,14 @@ def resolve_plan(
     config = plan.fitted(numbers, keep).config
     own = {
         f"evaluation__domain__{name}": getattr(config, name)
-        for name in vars(config).keys() - given.keys() - {"fleet"}
+        for name in vars(config).keys() - (given.keys() - numbers.keys()) - {"fleet"}
     }
     if plan.facts.robots and not {"agents", "fleet"} & given.keys():
         own["evaluation__domain__fleet__agents"] = plan.facts.robots
-    return resolve(choose_domain(preset, plan.domain.name), own | dict(settings))
+    others = {
+        name: one for name, one in settings.items() if name.rpartition("__")[2] not in numbers
+    }
+    return resolve(choose_domain(preset, plan.domain.name), own | others)
 
 
 def keep_costs(
