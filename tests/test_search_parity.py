@@ -25,8 +25,9 @@ EXACT = {"rtol": 0, "atol": 1e-12}
 
 @pytest.fixture(autouse=True)
 def float64():
-    with jax.enable_x64(True):
-        yield
+    jax.config.update("jax_enable_x64", True)  # `jax.enable_x64` is newer than the lowest version
+    yield
+    jax.config.update("jax_enable_x64", False)
 
 
 def load(name):

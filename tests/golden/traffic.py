@@ -4,6 +4,7 @@ import functools
 
 import adapter
 import layouts
+import numpy as np
 from record import sha
 
 PART = (33, 60)
@@ -35,17 +36,19 @@ def place(number: int, kind: str) -> tuple:
     return layout, domain, crowd if kind.startswith("crowded") else usual
 
 
-def leaves(runs: list[dict]) -> list[dict]:
-    """Reduce runs to hashes, with the throughput as a number."""
-    return [
-        {"throughput": float(run["throughput"])}
-        | {
-            name: sha(leaf)
-            for name, leaf in run.items()
-            if leaf is not None and name != "throughput"
-        }
-        for run in runs
-    ]
+def leaves(runs: list[dict], agents: int) -> list[dict]:
+    """Reduce runs to hashes, with the throughput as a number.
+
+    Of usage the visits are hashed: versions of XLA round the quotient in two ways.
+    """
+    reduced = []
+    for run in runs:
+        visits = np.rint(run["usage"] * (agents * run["end_timestep"])).astype(int)
+        numbers = {name: leaf for name, leaf in run.items() if leaf is not None}
+        throughput = float(numbers.pop("throughput"))
+        hashes = {name: sha(leaf) for name, leaf in (numbers | {"usage": visits}).items()}
+        reduced.append({"throughput": throughput} | hashes)
+    return reduced
 
 
 def run(name: str, **how: object) -> list[dict]:
@@ -54,4 +57,4 @@ def run(name: str, **how: object) -> list[dict]:
     number, kind = where.split(" ", 1)
     layout, domain, agents = place(int(number), kind)
     how = {"seeds": SEEDS, "room": PLACES[int(number)][3]} | how
-    return leaves(adapter.simulate(layout, domain, agents, TIMESTEPS, planner, **how))
+    return leaves(adapter.simulate(layout, domain, agents, TIMESTEPS, planner, **how), agents)
