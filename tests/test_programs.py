@@ -1,15 +1,13 @@
 """Benchmarks and studies: a mistake is one line that says what to do, exit code 2."""
 
-import os
-import subprocess
+import runpy
 import sys
-from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
+from qdenv import interrupt
 
-HERE = Path(__file__).parents[1]
+pytestmark = pytest.mark.slow
 
 # What follows `python -m` -> what its one line must say.
 MISTAKES = {
@@ -24,25 +22,36 @@ MISTAKES = {
 }
 
 
-def python(*arguments: str, folder: Path) -> subprocess.CompletedProcess:
-    paths = {"PYTHONPATH": str(HERE)}
-    command = [sys.executable, "-m", *arguments]
-    return subprocess.run(
-        command, cwd=folder, env=os.environ | paths, capture_output=True, text=True, check=False
-    )
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run a program in this process, as `python -m` does in one of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(interrupt, "watch", lambda program: None)
+
+    def run(line):
+        module, *words = line.split()
+        monkeypatch.setattr("sys.argv", [module, *words])
+        for loaded in (module, f"{module}.__main__"):  # may be imported by other tests
+            if loaded != "experiments":
+                monkeypatch.delitem(sys.modules, loaded, raising=False)
+        with pytest.raises(SystemExit) as end:
+            runpy.run_module(module, run_name="__main__")
+        return end.value.code, *capsys.readouterr()
+
+    return run
 
 
 @pytest.mark.parametrize("line", MISTAKES)
-def test_mistakes(line, tmp_path):
-    done = python(*line.split(), folder=tmp_path)
-    (said,) = done.stderr.splitlines()
-    assert (done.returncode, done.stdout) == (2, "")
+def test_mistakes(line, run, tmp_path):
+    code, out, err = run(line)
+    (said,) = err.splitlines()
+    assert (code, out) == (2, "")
     assert said.startswith("qdenv: ")
     assert MISTAKES[line] in said
     assert not list(tmp_path.iterdir())
 
 
-def test_help_lists_the_options(tmp_path):
-    done = python("experiments", "--help", folder=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "--make NAME" in done.stdout
+def test_help_lists_the_options(run):
+    code, out, err = run("experiments --help")
+    assert (code, err) == (0, "")
+    assert "--make NAME" in out

@@ -112,7 +112,7 @@ def test_workers_that_are_killed_cost_time_and_no_results(whole, local, tmp_path
 
         def kill_who_works():
             busy = [worker for worker, tasks in client.processing().items() if tasks]
-            if busy and len(killed) < 3:
+            if busy and len(killed) < 2:
                 for pid in client.run(os.getpid, workers=busy[:1], on_error="ignore").values():
                     os.kill(pid, signal.SIGKILL)
                     killed.append(pid)

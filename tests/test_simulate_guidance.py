@@ -74,10 +74,7 @@ def simulate(
     ("planner", "rule"),
     [
         (PibtConfig("host"), PLAIN),
-        (PibtConfig("xla"), SERVICES),
-        (PbsConfig(), PLAIN),
         (PbsConfig("plain", 1), SERVICES),
-        (LOW, SERVICES),
         (HIGH, PLAIN),
         (IN_XLA, SERVICES),
     ],
@@ -227,12 +224,12 @@ def published_plan(name: str) -> Plan:
     ],
 )
 def test_published_graphs_move_what_was_published(name, agents, swap, published):
-    """Table 3 of Zhang et al. 2024, within 1.5 % and twice the error of ten seeds."""
+    """Table 3 of Zhang et al. 2024, within 1.5 % and twice the error of six seeds."""
     plan = published_plan(name)
     kinds, tiles = "we" if "w" in name.split("_")[1] else ".", plan.domain.tiles
     rule = TaskRule(tiles, ".ew", tuple(tile_goal(kind, tiles) for kind in kinds))
     config = FleetConfig(agents, 1000, 1, 1, PibtConfig(swap=swap), stop_when_congested=False)
-    runs, _ = simulate(plan.layout, plan.costs, config, 10, rule)
+    runs, _ = simulate(plan.layout, plan.costs, config, 6, rule)
     moved = np.array([float(run.throughput) for run in runs])
     error = moved.std(ddof=1) / math.sqrt(len(moved))
     assert abs(moved.mean() - published) < 0.015 * published + 2 * error
@@ -243,7 +240,7 @@ def test_published_graph_keeps_pbs_flowing():
     plan = published_plan("kiva_33x36_human_cma-es_opt_220_agents")
     layout, rule = plan.layout, plan.domain.simulator.tasks
     config = FleetConfig(220, 1000, planner=PbsConfig())
-    guided, _ = simulate(layout, plan.costs, config, 5, rule)
+    guided, _ = simulate(layout, plan.costs, config, 3, rule)
     moved = np.array([float(run.throughput) for run in guided])
     error = moved.std(ddof=1) / math.sqrt(len(moved))
     assert not any(run.congested for run in guided)
