@@ -124,12 +124,30 @@ class Cover(NamedTuple):
     """Demand that every cell holding one of `tiles` lies in a whole rectangle of such cells.
 
     Squares that cover the driving area make aisles as wide as they are; rectangles that cover the
-    shelves make racks. What cannot be otherwise is no breach: a passage for which fixed cells leave
-    no room, and a shelf that is fixed.
+    shelves make racks; rows of one or two with floor at both ends have aisles on both sides. What
+    cannot be otherwise is no breach: a passage for which fixed cells leave no room, and a shelf
+    that is fixed.
     """
 
     tiles: str
     shapes: tuple[tuple[int, int], ...]  # rows and columns of the rectangles, any of which will do
+    ends: str = ""  # symbols that the first and the last cell hold instead, which are not covered
+
+    def inner(self, shape: tuple[int, int]) -> np.ndarray:
+        """Mark the cells of a rectangle that hold `tiles` (bool [rows, columns])."""
+        marks = np.ones(shape, bool)
+        marks.flat[[0, -1]] = not self.ends
+        return marks
+
+
+class Straight(NamedTuple):
+    """Demand straight aisles: of `most` + 1 successive rows one at least holds none of `tiles`.
+
+    Of columns the same. Walls may interrupt such a row or column.
+    """
+
+    tiles: str
+    most: int  # rows, or columns, between two straight aisles
 
 
 class Rules(NamedTuple):
@@ -146,6 +164,7 @@ class Rules(NamedTuple):
     change_cost: np.ndarray
     covers: tuple[Cover, ...] = ()  # widths of aisles, shapes of racks
     names: Mapping[str, str] = {}  # nouns that messages call tiles by; their symbols unless given
+    straight: Straight | None = None  # cross aisles
 
     def name(self, tiles: str, many: bool = False) -> str:
         """Name the symbols `tiles` in a sentence: "floor or endpoint"; in the plural if `many`."""
@@ -157,16 +176,26 @@ class Rules(NamedTuple):
         return " or ".join(filter(None, [", ".join(nouns[:-1]), *nouns[-1:]]))
 
     def buildable(
-        self, aisle: int = 1, rack: tuple[int, int] | None = None, of: str = "@"
+        self,
+        aisle: int = 1,
+        rack: tuple[int, int] | None = None,
+        of: str = "@",
+        most: int = 0,
+        both_sides: bool = False,
     ) -> Rules:
         """Add that aisles are `aisle` cells wide and tiles `of` stand in racks of rows x columns.
 
-        A rack stands along either axis; where racks meet, they form longer ones.
+        A rack stands along either axis; where racks meet, they form longer ones. Unless it is 0,
+        `most` is that of `Straight`. With `both_sides` each lies in a row, or column, of one or two
+        of them with the driving area at both ends.
         """
         more = (Cover(self.connected, ((aisle, aisle),)),) * (aisle > 1)
         if rack is not None:
             more += (Cover(of, tuple(sorted({rack, rack[::-1]}))),)
-        return self._replace(covers=self.covers + more)
+        if both_sides:
+            more += (Cover(of, ((1, 3), (1, 4), (3, 1), (4, 1)), self.connected),)
+        straight = Straight(of, most) if most else None
+        return self._replace(covers=self.covers + more, straight=straight)
 
 
 class RepairStatus(IntEnum):

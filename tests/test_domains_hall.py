@@ -153,6 +153,21 @@ def test_aisles_and_racks_are_settings_that_check_and_repair_take(tmp_path):
     assert audit(made.layout, fitted.resized(7, 13, {"aisle": 4}).rules())
 
 
+def test_straight_aisles_and_both_sides_are_rules_of_a_hall(tmp_path, capsys):
+    path = str(save(tmp_path / "hall.txt"))
+    rules = ["--cross-aisle", "1", "--both-sides"]
+    assert run(["check", path, *rules, "--rack", "1x2"]) == 1
+    said = capsys.readouterr().out
+    place = "in more than 1 rows: 4 cells, the first at row 1, column 3"
+    assert f"shelves without a straight aisle {place}" in said
+    assert "holds: every shelf in a rack of 1 x 2\n" in said
+    assert "holds: every shelf in a rack with aisles on both sides\n" in said
+    made = str(tmp_path / "made.txt")
+    assert run(["repair", path, *rules, "--out", made]) == 0
+    assert run(["check", made]) == 0  # what it was repaired by is beside it
+    assert "holds: a straight aisle after 1 rows and columns at most" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -194,6 +194,26 @@ def test_shelves_outside_of_racks_are_found():
     ]
 
 
+def test_straight_aisles_lie_between_so_many_rows_and_columns():
+    rules = yard(7, 6, 0, None, adjacency=()).buildable(most=2)
+    drawing = ["@.....", "...@..", "......", "@@....", "....@.", "@.....", "......"]
+    rows = "'@' without a straight aisle in more than 2 rows: 4 cells, the first at row 3, column 0"
+    assert broken(drawing, rules) == [(rows, (3, 0))]
+    turned = ["".join(one) for one in zip(*drawing, strict=True)]
+    ((columns, _),) = broken(turned, yard(6, 7, 0, None, adjacency=()).buildable(most=2))
+    assert columns == rows.replace("rows", "columns").replace("row 3, column 0", "row 0, column 3")
+    rules.allowed[3:6, 0] = [False, True, False, False]
+    assert impossible(rules) == "'@' that stay leave no straight aisle in rows 3 to 5"
+
+
+def test_racks_with_aisles_on_both_sides_are_one_or_two_deep():
+    rules = yard(5, 9, 0, None, adjacency=()).buildable(both_sides=True)
+    assert broken([".........", ".@@@@.@@.", ".@@@@....", ".........", "........."], rules) == []
+    drawing = ["..@@@.@.@", "....@.@..", "..@......", "......@@.", "......@@."]
+    lost = "'@' in no rack with aisles on both sides: 4 cells, the first at row 0, column 2"
+    assert broken(drawing, rules) == [(lost, (0, 2))]
+
+
 def test_what_is_fixed_breaks_no_rule_on_aisles_and_racks():
     """A door one cell wide in a wall, and a column that was there before."""
     rules = yard(5, 6, 0, None, adjacency=()).buildable(2, (2, 2))

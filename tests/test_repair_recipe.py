@@ -52,11 +52,20 @@ def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
         assert audit(found.layout, rules) == []
 
 
-@pytest.mark.parametrize(("aisle", "rack"), [(2, None), (1, (1, 2)), (2, (1, 2))])
-def test_program_prices_and_accepts_exactly_what_the_rules_do(aisle, rack):
+@pytest.mark.parametrize(
+    "built",
+    [
+        {"aisle": 2},
+        {"rack": (1, 2)},
+        {"aisle": 2, "rack": (1, 2)},
+        {"most": 1},
+        {"both_sides": True},
+    ],
+)
+def test_program_prices_and_accepts_exactly_what_the_rules_do(built):
     """Every constraint but connectivity, over all layouts of a tiny canvas."""
     layout = np.array([[0, 1], [2, 2], [1, 0]], np.int8)
-    facts = Facts(yard(3, 2, 1, 2).buildable(aisle, rack))
+    facts = Facts(yard(3, 2, 1, 2).buildable(**built))
     program = build(layout, facts)
     for tiles in itertools.product(range(3), repeat=6):
         candidate = np.array(tiles, np.int8).reshape(3, 2)
@@ -113,11 +122,19 @@ def test_engineers_rules_are_kept():
 
 
 @pytest.mark.parametrize(
-    ("aisle", "rack", "shelves"), [(2, None, 40), (2, (2, 4), 40), (1, (1, 3), 60)]
+    ("built", "shelves"),
+    [
+        ({"aisle": 2}, 40),
+        ({"aisle": 2, "rack": (2, 4)}, 40),
+        ({"rack": (1, 3)}, 60),
+        ({"aisle": 2, "rack": (2, 4), "most": 4}, 32),
+        ({"most": 3}, 60),
+        ({"rack": (2, 4), "both_sides": True}, 56),
+    ],
 )
-def test_repairs_make_wide_aisles_and_whole_racks(aisle, rack, shelves):
+def test_repairs_keep_the_rules_of_halls_that_are_built(built, shelves):
     for seed in range(3):
-        rules = yard(14, 15, shelves, shelves).buildable(aisle, rack)
+        rules = yard(14, 15, shelves, shelves).buildable(**built)
         layout = np.random.default_rng(seed).integers(0, 3, (14, 15)).astype(np.int8)
         found = repair_layout(layout, rules, seed, RepairConfig("quick"))
         assert audit(found.layout, rules) == []

@@ -241,8 +241,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
 def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructConstructorSpec:
     """Make an option for each number of tiles, and setting of rules, of a command's domain."""
     many = Annotated[tuple[int, ...], arg(help_behavior_hint="(default: )")]
-    one, domain = get_origin(kind) is not tuple, _domain_of(chosen, rest)
-    listed = []
+    one, domain, listed = get_origin(kind) is None, _domain_of(chosen, rest), []
     for name, tile in domain.counted.items():
         about = f"exact number of {domain.names.get(tile, '')} tiles ({tile})"
         ranged = one and hasattr(domain.config, f"spare_{name}")

@@ -49,6 +49,12 @@ class HallConfig(DomainConfig):
     aisle: PositiveInt = 1  # least width of aisles in cells
     # rows and columns of the smallest rack, as 2x6, along either axis; any shape where empty
     rack: str = ""
+    # most rows, and columns, in succession that hold shelves: then comes a straight aisle; any
+    # number where 0
+    cross_aisle: NonNegativeInt = 0
+    # whether each rack has an aisle on both sides: every shelf lies in a straight run of one or two
+    # with floor at both ends
+    both_sides: bool = False
     pick: Stay = 0  # timesteps that a robot stays at an endpoint
     drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
     # shares of the tasks by the signs of stations, as i=1,o=3; all stations are alike where empty
@@ -158,7 +164,9 @@ def hall(config: HallConfig) -> Domain:
         base = domain.rules()  # type: ignore[misc]
         most = config.shelves + config.spare_shelves
         base = base._replace(counts=(Count("@", config.shelves, most), Count(_STATIONS, 1)))
-        return base.buildable(config.aisle, rack)
+        return base.buildable(
+            config.aisle, rack, most=config.cross_aisle, both_sides=config.both_sides
+        )
 
     return replace(
         domain,
@@ -166,7 +174,7 @@ def hall(config: HallConfig) -> Domain:
         stays=_TILES[len(GENERATED) :],
         meanings=_MEANINGS,
         task_settings=("pick", "drop", "shares", "task_rate", "demand"),
-        rule_settings=("aisle", "rack"),
+        rule_settings=("aisle", "rack", "cross_aisle", "both_sides"),
     )
 
 

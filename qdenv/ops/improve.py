@@ -92,7 +92,7 @@ def improve(
     if minutes is None and evaluations is None:
         minutes = _MINUTES
     numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
-    named = ("shelves", "aisle", "rack")
+    named = ("shelves", "aisle", "rack", "cross_aisle", "both_sides")
     rules: dict[str, Any] = {name: given.pop(name) for name in named if name in given}
     options = args.Fleet(given)
     plan = options.read_plan(layout)

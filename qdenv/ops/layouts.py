@@ -24,7 +24,7 @@ from qdenv.ops.output import (
     say,
 )
 from qdenv.progress import Bar
-from qdenv.repairs.audit import audit, check_allowed
+from qdenv.repairs.audit import audit, check_allowed, check_built
 from qdenv.repairs.rules import impossible
 from qdenv.repairs.settings import Polish, RepairConfig
 from qdenv.study.diagnosis import diagnose
@@ -93,7 +93,8 @@ def check(
 
     Returns:
         a `Broken` for each broken rule, which names a cell; empty where the layout obeys them all.
-        Its facts list the remarks, each with its kind, message and cells.
+        Its facts list the rules on aisles and racks that hold, in words, and the remarks, each with
+        its kind, message and cells.
 
     Raises:
         InputError: it is no layout, or `keep` names nothing in it.
@@ -118,6 +119,9 @@ def check(
         say(f"{name}, {plan.whose}: {count} broken")
     else:
         say(f"{name}, {plan.whose}: obeys every rule")
+    built = check_built(plan.layout, rules) if rules else ()
+    holds = [rule for rule, wrong in built if not wrong]
+    say(*(f"holds: {one}" for one in holds))
     say(*(f"remark: {one.message}" for one in remarks))
     if picture:
         from qdenv.view.change import draw_diagnosis  # imports matplotlib
@@ -127,6 +131,7 @@ def check(
         "valid": not broken,
         "rules": rules is not None,
         "broken": [one._asdict() for one in broken],
+        "holds": holds,
         "remarks": [one._asdict() for one in remarks],
         "settings": {"layout": name, "domain": fitted.name, "keep": keep, "numbers": numbers},
     }

@@ -176,6 +176,9 @@ class ImproveOptions(RunOptions, total=False):
     shelves: Range  # how many there are to be, as 1100 or 1000:1200; else as in the plan
     aisle: PositiveInt  # least width of aisles in cells, else the plan's
     rack: str  # shape of the smallest rack, as 2x6, else the plan's
+    # most rows, and columns, with shelves between two straight aisles, else the plan's
+    cross_aisle: NonNegativeInt
+    both_sides: bool  # whether racks have an aisle on both sides, else as the plan says
     minutes: PositiveFloat | None  # for all searches; 10 unless evaluations are given
     evaluations: PositiveInt | None  # number of floors, or costs of moves, that each search tries
     seed: NonNegativeInt  # seed of the searches; 0 unless given

@@ -1,10 +1,11 @@
 """Independent check of a layout against its rules: plain numpy and scipy, no solver."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.grid import count_neighbours, of_tiles
+from qdenv.grid import count_neighbours, of_tiles, shift
 from qdenv.lazy import ndimage
 from qdenv.types import Rules
 
@@ -62,27 +63,58 @@ def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
         largest = 1 + np.argmax(np.bincount(labels.ravel())[1:])
         message = f"the driving area is in {parts} unconnected parts, cut off"
         found += _violations(message, driving & (labels != largest))
-    return found + _check_covers(layout, rules)
+    return found + [one for _, broken in check_built(layout, rules) for one in broken]
 
 
-def _check_covers(layout: np.ndarray, rules: Rules) -> list[Violation]:
-    """Name the aisles that are too narrow, and what stands outside of whole racks."""
-    found = []
-    for tiles, shapes in rules.covers:
-        holds = of_tiles(layout, tiles, rules.tiles)
+def check_built(layout: np.ndarray, rules: Rules) -> Iterator[tuple[str, list[Violation]]]:
+    """List the rules of halls that are built, in words, each with what breaks it."""
+    for tiles, shapes, ends in rules.covers:
+        holds = np.asarray(of_tiles(layout, tiles, rules.tiles))
         may = rules.allowed[..., [tile in tiles for tile in rules.tiles]]
         # An opening keeps exactly the cells covered by a fitting rectangle.
         covered, room = (
             np.any([ndimage.binary_opening(cells, np.ones(shape, bool)) for shape in shapes], 0)
             for cells in (holds, may.any(-1))
         )
-        rows, cols = shapes[0]
+        (rows, cols), fixed = shapes[0], may.sum(-1) == rules.allowed.sum(-1)
         if set(tiles) == set(rules.connected):
-            found += _violations(f"aisle narrower than {rows} cells", holds & ~covered & room)
-        else:
-            fixed = may.sum(-1) == rules.allowed.sum(-1)
-            message = f"{rules.name(tiles)} in no rack of {rows} x {cols}"
-            found += _violations(message, holds & ~covered & ~fixed)
+            wrong = holds & ~covered & room
+            yield (
+                f"aisles {rows} cells wide",
+                _violations(f"aisle narrower than {rows} cells", wrong),
+            )
+            continue
+        rack = f"rack of {rows} x {cols}"
+        if ends:
+            covered = _between(holds, np.asarray(of_tiles(layout, ends, rules.tiles)))
+            rack = "rack with aisles on both sides"
+        message = f"{rules.name(tiles)} in no {rack}"
+        yield (
+            f"every {rules.name(tiles)} in a {rack}",
+            _violations(message, holds & ~covered & ~fixed),
+        )
+    if rules.straight:
+        tiles, most = rules.straight
+        holds, wrong = np.asarray(of_tiles(layout, tiles, rules.tiles)), list[Violation]()
+        for axis, lines in ((1, "rows"), (0, "columns")):
+            labels, _ = ndimage.label(holds.any(axis))
+            long = (labels > 0) & (np.bincount(labels)[labels] > most)
+            many = rules.name(tiles, True)
+            message = f"{many} without a straight aisle in more than {most} {lines}"
+            wrong += _violations(message, holds & (long[:, None] if axis else long))
+        yield f"a straight aisle after {most} rows and columns at most", wrong
+
+
+def _between(holds: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Find cells in runs of one or two, along a row or column, between `ends` (all bool [H, W])."""
+    found = np.zeros_like(holds)
+    for down, right in ((1, 0), (0, 1)):
+        along = np.zeros((3, 3), bool)
+        along[1 - down : 2 + down, 1 - right : 2 + right] = True
+        runs, _ = ndimage.label(holds, along)
+        open_ends = 1 * shift(ends, (down, right)) + shift(ends, (-down, -right))
+        sizes, beside = np.bincount(runs.ravel()), np.bincount(runs.ravel(), open_ends.ravel())
+        found |= ((sizes <= 2) & (beside == 2))[runs]
     return found
 
 

@@ -74,15 +74,16 @@ def _repair_possible(
         yield layout, LOW_PENALTY
         # Moves of rectangles mend more than a stricter schedule does.
         yield layout, LOW_PENALTY if facts.rules.covers else HIGH_PENALTY
-        for start in draw_templates(layout, facts)[:_MAX_TEMPLATES]:
+        for start in draw_templates(layout, facts.straightened(layout))[:_MAX_TEMPLATES]:
             yield start, NO_VIOLATIONS
         _, known = find_possible(facts, progress)
         if known is not None:
             yield known, NO_VIOLATIONS
 
     for attempt, (start, schedule) in enumerate(starts()):
+        straight = facts.straightened(start)
         candidate, cost = anneal(
-            layout, facts, seed + attempt, moves, start, schedule, progress, bound
+            layout, straight, seed + attempt, moves, start, schedule, progress, bound
         )
         if candidate is not None and not audit(candidate, facts.rules):
             break
@@ -100,7 +101,7 @@ def _repair_possible(
     best = Repair(candidate, RepairStatus.ANNEALED, cost, bound, 0.0)
     if config.polish == "full" and not facts.rules.covers and not is_proven(best):
         # The program of a window states no rule on aisles or racks.
-        search = WindowSearch(layout, candidate, facts, seed)
+        search = WindowSearch(layout, candidate, facts.straightened(candidate), seed)
         best = keep_cheaper(best, search.run(progress), layout, facts)
     if is_proven(best):
         return best._replace(status=RepairStatus.OPTIMAL)

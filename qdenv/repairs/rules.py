@@ -53,7 +53,8 @@ class Facts:
         self.widens = [set(rule.tiles) == set(rules.connected) for rule in rules.covers]
         sides: dict[bool, list[int]] = {True: [1], False: []}
         for rule, widens in zip(rules.covers, self.widens, strict=True):
-            sides[widens].append(min(min(shape) for shape in rule.shapes))
+            if not rule.ends:
+                sides[widens].append(min(min(shape) for shape in rule.shapes))
         self.aisle = max(sides[True])  # how many cells wide an aisle must be
         # how many cells deep racks must be, 0 where any will do
         self.depth = max(sides[False], default=0)
@@ -98,6 +99,24 @@ class Facts:
         room, narrow = self.room(rule), self.may(rule.tiles) & ~self.room(rule)
         return 2 + 2 * max(int(count_neighbours(narrow)[room].sum()), 1)
 
+    def straightened(self, layout: np.ndarray) -> "Facts":
+        """Choose straight aisles where `layout` (int8 [H, W]) has fewest obstacles, and keep them.
+
+        Returns itself where no rule demands any.
+        """
+        if self.rules.straight is None:
+            return self
+        (tiles, most), allowed = self.rules.straight, self.rules.allowed.copy()
+        barred = self.holding(tiles)
+        for axis in (1, 0):
+            may, other = (allowed & barred).any(-1), (allowed & ~barred).any(-1)
+            # Where that is equal as few aisles as possible, on cells that matter least.
+            cost = self.rules.change_cost * (may & barred[layout]) + 1e-3 * may
+            lines = _choose(np.where(may & ~other, np.inf, cost).sum(axis), most)
+            clear = (lines[:, None] if axis else lines) & other
+            allowed &= ~(clear[..., None] & barred)
+        return Facts(self.rules._replace(allowed=allowed, straight=None))
+
     def keeps(self, layout: np.ndarray) -> np.ndarray:
         """Mark the cells that may keep the tile of `layout` (int8 [H, W] -> bool [H, W])."""
         rows, cols = np.indices(layout.shape)
@@ -106,6 +125,19 @@ class Facts:
     def cost(self, candidate: np.ndarray, layout: np.ndarray) -> float:
         """Sum the costs of the cells in which `candidate` differs from the input `layout`."""
         return float((self.rules.change_cost * (candidate != layout)).sum())
+
+
+def _choose(cost: np.ndarray, most: int) -> np.ndarray:
+    """Choose lines of the least `cost` (float [n] -> bool [n]), at most `most` between any two."""
+    best, before = [0.0], [0]
+    for place, own in enumerate([*cost, 0.0]):
+        first = max(place - most, 0)
+        before.append(first + int(np.argmin(best[first : place + 1])))
+        best.append(best[before[-1]] + own)
+    chosen, last = np.zeros(len(best), bool), len(best) - 1
+    while last:
+        chosen[last], last = True, before[last]
+    return chosen[1:-1]
 
 
 def is_proven(best: Repair, gap: float = 0.0) -> bool:
@@ -217,6 +249,15 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
         if parts.size > 1:
             where = "row {}, column {}".format(*np.argwhere(always & (labels == parts[1]))[0])
             return f"fixed obstacles cut {where} off from the rest of the driving area"
+    if rules.straight:
+        stays = facts.must(rules.straight.tiles)
+        for axis, lines in ((1, "rows"), (0, "columns")):
+            labels, _ = ndimage.label(stays.any(axis))
+            for (run,) in ndimage.find_objects(labels):
+                if run.stop - run.start > rules.straight.most:
+                    named, last = rules.name(rules.straight.tiles, True), run.stop - 1
+                    where = f"{lines} {run.start} to {last}"
+                    return f"{named} that stay leave no straight aisle in {where}"
     return _impossible_covers(facts)
 
 
@@ -224,6 +265,8 @@ def _impossible_covers(facts: Facts) -> str | None:
     """Return a contradiction between aisles or racks and the other rules that counting shows."""
     rules = facts.rules
     for rule, widens, exempt in zip(rules.covers, facts.widens, facts.exempt, strict=True):
+        if rule.ends:
+            continue
         rows, cols = rule.shapes[0]
         room = facts.room(rule)
         for tiles, low, high in rules.counts:

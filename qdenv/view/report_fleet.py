@@ -10,7 +10,7 @@ import numpy as np
 
 from qdenv.guidance import preferences
 from qdenv.progress import Progress, silent
-from qdenv.repairs.audit import audit
+from qdenv.repairs.audit import audit, check_built
 from qdenv.simulation.mapf.settings import FleetConfig, describe_planner
 from qdenv.stats import difference
 from qdenv.study.diagnosis import diagnose
@@ -241,8 +241,11 @@ def _draw(
     domain, layout, maps = subject.plan.domain, subject.plan.layout, scene.maps
     assert study.verdict is not None
     verdict, reason, _ = study.verdict
-    rules = subject.plan.fitted().rules
-    remarks = [one.message for one in (audit(layout, rules()) if rules else [])]
+    make_rules, remarks = subject.plan.fitted().rules, list[str]()
+    if make_rules:
+        rules = make_rules()
+        remarks = [one.message for one in audit(layout, rules)]
+        remarks += [f"holds: {rule}" for rule, wrong in check_built(layout, rules) if not wrong]
     remarks += [one.message for one in diagnose(subject.plan)]
     plan = draw_plan(layout, domain.tiles, domain.names, side=_PLAN)
     flow, along = "", 0.0

@@ -112,20 +112,26 @@ def draw_hall(rng: np.random.Generator) -> Hall:
     rack = None
     if rng.random() < 0.6:
         rack = (int(rng.integers(1, 3)), int(rng.integers(2, 7)))
+    cross = int(rng.integers(3, 13)) if rng.random() < 0.3 else 0
+    both = bool(rng.random() < 0.2)
     free = int((building == FLOOR).sum())
     number = int(rng.uniform(0.02, 0.7) * free)
     if planted:
-        rules = hall_rules(building, free + 1, None).buildable(aisle, rack)
+        rules = hall_rules(building, free + 1, None).buildable(
+            aisle, rack, most=cross, both_sides=both
+        )
         layout = plant(building, rules, rack or (int(rng.integers(1, 3)), 2), rng)
         number = int((layout == SHELF).sum())
         planted = number > 0
-    rules = hall_rules(building, number, number).buildable(aisle, rack)
+    rules = hall_rules(building, number, number)
+    rules = rules.buildable(aisle, rack, most=cross, both_sides=both)
     if planted:
         assert not qdenv.audit(layout, rules), qdenv.audit(layout, rules)
     odds = rng.dirichlet(np.ones(3))
     noise = rng.choice(3, building.shape, p=odds).astype(np.int8)
     layout = np.where(building == FLOOR, noise, building).astype(np.int8)
     name = f"{building.shape[0]} x {building.shape[1]}, {number} shelves, aisle {aisle}, {rack}"
+    name += f", straight {cross}" * (cross > 0) + ", both sides" * both
     return Hall(name, layout, rules, planted)
 
 

@@ -53,17 +53,21 @@ def set_covers(covers: Covers, cells: np.ndarray, tiles: np.ndarray, changes: in
     for index in range(changes):
         cell = cells[index]
         for rule in range(member.shape[0]):
-            joins = covers.belongs[rule, tiles[index]]
-            if member[rule, cell] == joins:
+            old, new = member[rule, cell], covers.belongs[rule, tiles[index]]
+            if old == new:
                 continue
-            member[rule, cell] = joins
+            member[rule, cell] = new
             if whole[rule, cell] == 0:
-                broken += weights[rule, cell] * (1 if joins else -1)
+                broken += weights[rule, cell] * ((new & 1) - (old & 1))
             for shape in range(covers.shapes.shape[0]):
                 if covers.shapes[shape, 0] != rule:
                     continue
                 area = covers.shapes[shape, 1] * covers.shapes[shape, 2]
                 for place in range(area):
+                    needed = covers.needed[shape, place]
+                    joins = new == needed
+                    if joins == (old == needed):
+                        continue
                     corner = cell - covers.offsets[shape, place]
                     before = lacking[shape, corner]
                     lacking[shape, corner] = before + (-1 if joins else 1)
@@ -71,11 +75,13 @@ def set_covers(covers: Covers, cells: np.ndarray, tiles: np.ndarray, changes: in
                     if before != joins:
                         continue
                     for inside_place in range(area):
+                        if covers.needed[shape, inside_place] != 1:
+                            continue
                         inside = corner + covers.offsets[shape, inside_place]
                         count = whole[rule, inside] + (1 if joins else -1)
                         whole[rule, inside] = count
                         alone = count == (0 if not joins else 1)
-                        if alone and member[rule, inside]:
+                        if alone and member[rule, inside] == 1:
                             broken -= weights[rule, inside] * (1 if joins else -1)
     covers.broken[()] += broken
     return broken

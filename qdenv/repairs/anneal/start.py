@@ -134,26 +134,29 @@ def initial_covers(board: Board, candidate: np.ndarray, facts: Facts) -> Covers 
     rules = facts.rules.covers
     if not rules:
         return None
-    belongs = np.array([[*facts.holding(rule.tiles), False] for rule in rules]).astype(np.int8)
+    marks = [facts.holding(rule.tiles) + 2 * facts.holding(rule.ends) for rule in rules]
+    belongs = np.pad(np.array(marks, np.int8), ((0, 0), (0, 1)))
     shapes = [(q, *shape) for q, rule in enumerate(rules) for shape in rule.shapes]
     offsets = np.zeros((len(shapes), max(rows * cols for _, rows, cols in shapes)), np.int64)
-    member = belongs[:, candidate]
+    needed, member = np.ones(offsets.shape, np.int8), belongs[:, candidate]
     lacking = np.zeros((len(shapes), candidate.size), np.int32)
     whole = np.zeros((len(rules), candidate.size), np.int32)
     for z, (rule, rows, cols) in enumerate(shapes):
         area = rows * cols
         offsets[z, :area] = (board.steps[4] * np.arange(rows)[:, None] + np.arange(cols)).ravel()
         # Rectangles that leave the grid hold a wall, on whichever side they come in again.
-        lacking[z] = area - sum(np.roll(member[rule], -step) for step in offsets[z, :area])
-        whole[rule] += sum(np.roll(lacking[z] == 0, step) for step in offsets[z, :area])
+        needed[z, :area] = 2 - rules[rule].inner((rows, cols)).ravel()
+        places = list(zip(offsets[z, :area], needed[z, :area], strict=True))
+        lacking[z] = area - sum(np.roll(member[rule] == kind, -step) for step, kind in places)
+        whole[rule] += sum(np.roll(lacking[z] == 0, step) for step, kind in places if kind == 1)
     weight = board.demand_weight
     weights = [
         np.pad((weight if widens else weight + 1) * ~exempt, 1).ravel()
         for widens, exempt in zip(facts.widens, facts.exempt, strict=True)
     ]
     costs = np.array(weights, np.int8)
-    broken = np.array((costs * (member & (whole == 0))).sum(), np.int64)
-    return Covers(belongs, costs, np.array(shapes), offsets, member, lacking, whole, broken)
+    broken = np.array((costs * ((member == 1) & (whole == 0))).sum(), np.int64)
+    return Covers(belongs, costs, np.array(shapes), offsets, needed, member, lacking, whole, broken)
 
 
 def initial_state(board: Board, candidate: np.ndarray, covers: Covers | None = None) -> AnnealState:

@@ -103,11 +103,12 @@ class AnnealState(NamedTuple):
 class Covers(NamedTuple):
     """The Q rules on whole rectangles, of Z shapes in all, and how the candidate stands to them."""
 
-    belongs: np.ndarray  # int8 [Q, K + 1], 1 for the tiles that a rule covers
+    belongs: np.ndarray  # int8 [Q, K + 1], 1 for the tiles that a rule covers, 2 for those at ends
     weights: np.ndarray  # int8 [Q, N], demands that a member without any breaks, 0 if it needs none
     shapes: np.ndarray  # int64 [Z, 3], of each shape the rule, rows and columns
     offsets: np.ndarray  # int64 [Z, area], from its first corner to its cells; 0 beyond the last
-    member: np.ndarray  # int8 [Q, N], 1 where the candidate holds a tile that the rule covers
+    needed: np.ndarray  # int8 [Z, area], what `belongs` says of the tiles that must be there
+    member: np.ndarray  # int8 [Q, N], what it says of the candidate's tile
     lacking: np.ndarray  # int32 [Z, N], other cells in the rectangle whose first corner is here
     whole: np.ndarray  # int32 [Q, N], rectangles over the cell that lack none
     broken: Scalar  # int64 [], summed weights of members without any

@@ -44,7 +44,8 @@ def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
     # Cached by the content of the rules, costs left out: a batch pays for it once.
     rules = facts.rules
     texts = (rules.tiles, rules.counts, rules.adjacency, rules.connected, rules.covers)
-    key = repr((texts, rules.allowed.shape)).encode() + np.packbits(rules.allowed).tobytes()
+    stated = repr((*texts, rules.straight, rules.allowed.shape))
+    key = stated.encode() + np.packbits(rules.allowed).tobytes()
     with _lock:
         if key not in _answers:
             _answers[key] = _decide(facts, progress)
@@ -79,7 +80,8 @@ def _decide(facts: Facts, progress: Progress) -> Existence:
     """Try the relaxation, then the solver or the packer."""
     if facts.free_cells > highs.MAX_CELLS:
         return RepairStatus.FAILED, None
-    if facts.rules.covers:  # an annealer that pays nothing for changes is faster than a relaxation
+    # An annealer that pays nothing for changes is faster than a relaxation.
+    if facts.rules.covers or facts.rules.straight:
         layout = _search(facts, progress)
         if layout is not None:
             return RepairStatus.ANNEALED, layout
@@ -88,7 +90,7 @@ def _decide(facts: Facts, progress: Progress) -> Existence:
     if relaxed.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
         return RepairStatus.IMPOSSIBLE, None
     if facts.free_cells > _BRANCHED_CELLS:
-        layout = pack(facts, progress)
+        layout = pack(facts.straightened(facts.any_layout), progress)
         return RepairStatus.FAILED if layout is None else RepairStatus.ANNEALED, layout
     # Solve with more and more connectivity cuts, until a layout obeys every rule or none can. Wide
     # aisles exclude more than a tree, which takes ten times as long.
@@ -120,7 +122,8 @@ def _search(facts: Facts, progress: Progress) -> np.ndarray | None:
     starts = [*draw_templates(facts.any_layout, facts)[:_STARTS], facts.any_layout]
     for seed, start in enumerate(starts):
         moves = _MOVES_PER_CELL * facts.free_cells
-        found, _ = anneal(start, free, seed, moves, start, LOW_PENALTY, progress, bound=0.0)
+        straight = free.straightened(start)
+        found, _ = anneal(start, straight, seed, moves, start, LOW_PENALTY, progress, bound=0.0)
         if found is not None and not audit(found, facts.rules):
             return found
     return None

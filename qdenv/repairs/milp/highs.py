@@ -104,7 +104,7 @@ def mend(
 ) -> np.ndarray:
     """Mend the connections of a solution by small changes; return it unchanged where none do."""
     moves, seed = _MENDING_MOVES * layout.size, int(rng.integers(1 << 62))
-    best, _ = anneal(layout, facts, seed, moves, candidate, MENDING)
+    best, _ = anneal(layout, facts.straightened(candidate), seed, moves, candidate, MENDING)
     return candidate if best is None else best
 
 

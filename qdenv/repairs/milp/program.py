@@ -62,6 +62,8 @@ class Program(NamedTuple):
     # of each shape of each cover: int64 [H, W], column of "the rectangle whose first corner is here
     # is whole", or -1
     wholes: tuple[np.ndarray, ...] = ()
+    # int64 [H] and [W], columns of "the row, or the column, is a straight aisle"; () without a rule
+    lines: tuple[np.ndarray, ...] = ()
 
 
 def at_least(low: np.ndarray, *terms: tuple[np.ndarray, np.ndarray | float]) -> Constraints:
@@ -131,6 +133,10 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
             inside = _corners(wholes[-1], shape)
             inside[:] = size + np.arange(inside.size).reshape(inside.shape)
             size += inside.size
+    lines = list[np.ndarray]()
+    if facts.rules.straight:
+        lines = np.split(size + np.arange(sum(layout.shape)), layout.shape[:1])
+        size += sum(layout.shape)
     # At most one binary of a cell is set.
     several = binary.sum(-1) > 1
     columns = cells.columns[several][np.argsort(base[several], kind="stable")]
@@ -142,16 +148,20 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
         ),
         *_counts(cells, retypes, facts, layout),
         *_covers(cells, wholes, facts),
+        *_straight(cells, lines, facts),
     ]
     # A row without variables matters only where fixed cells break it.
     used = [part.terms().any(1) | (part.low > 0) | (part.high < 0) for part in rows]
     rows = [Constraints(*(x[use] for x in part)) for part, use in zip(rows, used, strict=True)]
     upper, integer = np.ones(size), np.ones(size, bool)
     upper[[column for pair in retypes.values() for column in pair]] = layout.size
-    for columns in wholes:  # a rectangle is whole when its cells are: no need to branch on it
+    # A rectangle is whole when its cells are, a line free likewise: no need to branch on it.
+    for columns in (*wholes, *lines):
         integer[columns[columns >= 0]] = False
     cost, constant = _cost(cells, retypes, facts, layout, size)
-    return Program(cells, cost, rows, upper, integer, constant, retypes, tuple(wholes))
+    return Program(
+        cells, cost, rows, upper, integer, constant, retypes, tuple(wholes), tuple(lines)
+    )
 
 
 def _counts(
@@ -210,19 +220,35 @@ def _covers(cells: Cells, wholes: Sequence[np.ndarray], facts: Facts) -> Iterato
     several = iter(wholes)
     for rule, exempt in zip(facts.rules.covers, facts.exempt, strict=True):
         own, holds = cells.express(facts.roles_of(rule.tiles))
+        end, drives = cells.express(facts.roles_of(rule.ends))
         over = []
         for shape in rule.shapes:
             columns = next(several)
             corners, offsets = np.argwhere(columns >= 0), np.argwhere(np.ones(shape))
             rows, cols = (corners[:, None] + offsets).reshape(-1, 2).T
             whole = np.repeat(columns[columns >= 0], len(offsets))
-            opens = (cells.columns[rows, cols], own[rows, cols]), (whole, -1.0)
-            yield at_least(-holds[rows, cols], *opens)
+            inner = rule.inner(shape).ravel()
+            inside = np.tile(inner, len(corners))
+            terms = np.where(inside[:, None], own[rows, cols], end[rows, cols])
+            constant = np.where(inside, holds[rows, cols], drives[rows, cols])
+            yield at_least(-constant, (cells.columns[rows, cols], terms), (whole, -1.0))
             padded = np.pad(columns, [(side - 1, 0) for side in shape], constant_values=-1)
             windows = np.lib.stride_tricks.sliding_window_view(padded, shape)
-            over.append(windows.reshape(columns.size, -1)[~exempt.ravel()])
+            over.append(windows.reshape(columns.size, -1)[~exempt.ravel()][:, inner])
         columns, terms = cells.columns[~exempt], own[~exempt]
         yield at_least(holds[~exempt], (np.hstack(over), 1.0), (columns, -terms))
+
+
+def _straight(cells: Cells, lines: Sequence[np.ndarray], facts: Facts) -> Iterator[Constraints]:
+    """A straight aisle holds none of the tiles; of `most` + 1 in a row one is an aisle."""
+    tiles, most = facts.rules.straight or ("", 0)
+    (own, holds), may = cells.express(facts.roles_of(tiles)), facts.may(tiles)
+    for axis, columns in enumerate(lines):
+        line = np.broadcast_to(columns[:, None] if axis == 0 else columns, may.shape)[may]
+        yield at_least(holds[may] - 1.0, (cells.columns[may], -own[may]), (line, -1.0))
+        if len(columns) > most:
+            windows = np.lib.stride_tricks.sliding_window_view(columns, most + 1)
+            yield at_least(np.ones(len(windows)), (windows, 1.0))
 
 
 def _cost(
@@ -256,11 +282,18 @@ def encode(program: Program, candidate: np.ndarray, layout: np.ndarray, facts: F
         other = (role == facts.role_of[kind]) & (candidate != kind)
         values[gained] = ((candidate == kind) & ~(kept & (candidate == layout))).sum()
         values[lost] = (kept & (layout == kind) & other).sum()
-    pairs = [(rule.tiles, shape) for rule in facts.rules.covers for shape in rule.shapes]
-    for columns, (tiles, shape) in zip(program.wholes, pairs, strict=True):
-        holds = np.pad(facts.holding(tiles)[candidate], [(0, side - 1) for side in shape])
-        whole = np.lib.stride_tricks.sliding_window_view(holds, shape).all((-1, -2))
+    pairs = [(rule, shape) for rule in facts.rules.covers for shape in rule.shapes]
+    for columns, (rule, shape) in zip(program.wholes, pairs, strict=True):
+        padding = [(0, side - 1) for side in shape]
+        views = [
+            np.lib.stride_tricks.sliding_window_view(np.pad(holds[candidate], padding), shape)
+            for holds in (facts.holding(rule.tiles), facts.holding(rule.ends))
+        ]
+        whole = np.where(rule.inner(shape), *views).all((-1, -2))
         values[columns[whole]] = 1.0
+    for axis, columns in enumerate(program.lines):
+        tiles, _ = facts.rules.straight or ("", 0)
+        values[columns[~facts.holding(tiles)[candidate].any(1 - axis)]] = 1.0
     return values
 
 
