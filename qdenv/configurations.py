@@ -1,4 +1,4 @@
-"""Named configurations: quick looks, a laptop's half hour, the paper's rows (Tables 1, 4, 5)."""
+"""Named configurations: quick looks, a laptop's ten minutes, the paper's rows (Tables 1, 4, 5)."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,14 +1,27 @@
-"""Sentences of the results page, computed again from the saved files that they are about."""
+"""Sentences of the results page and others, computed from the saved files that they are about."""
 
 import csv
+import json
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from experiments.__main__ import find
+from experiments.figure_19 import USAGE
+from experiments.pieces import Folders
+
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
-PAGE = " ".join((EXPERIMENTS / "README.md").read_text().split())
-RUNS = EXPERIMENTS / "results" / "runs"
+RESULTS = EXPERIMENTS / "results"
+RUNS = RESULTS / "runs"
+
+
+def page(path: str) -> str:
+    return " ".join((EXPERIMENTS.parent / path).read_text().split())
+
+
+PAGE, NOTES = page("experiments/README.md"), page("notebooks/reference/notes.md")
 WAREHOUSES = sorted(path.name for path in RUNS.iterdir() if path.name.startswith("warehouse"))
 
 
@@ -24,6 +37,30 @@ def numbers(run: str, column: str, table: str = "elites.csv") -> np.ndarray:
 def score_after(run: str, evaluations: int) -> float:
     done = numbers(run, "evaluations", "metrics.csv") == evaluations
     return float(numbers(run, "qd_score", "metrics.csv")[done][0])
+
+
+def table(name: str) -> list[list[str]]:
+    """Take the rows of a saved table apart."""
+    lines = (RESULTS / f"{name}.md").read_text().splitlines()
+    rows = [line.split("|")[1:-1] for line in lines if line.startswith("| ")][2:]
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def course(name: str) -> dict:
+    return json.loads((RESULTS / "courses" / f"{name}.json").read_text())
+
+
+def layout(name: str) -> np.ndarray:
+    rows = json.loads((RESULTS / "layouts" / f"{name}.json").read_text())["layout"]
+    return np.array([list(row) for row in rows])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(path.stem for path in RESULTS.glob("*.md")))
+def test_a_saved_table_is_what_the_saved_results_give(name, tmp_path):
+    lines = find(name).draw(Folders(runs=tmp_path)).lines
+    plt.close("all")
+    assert "\n".join(lines) + "\n" == (RESULTS / f"{name}.md").read_text()
 
 
 # The published means of Table 4 stand beside ours.
@@ -65,13 +102,10 @@ def test_scores_half_way_and_early():
     assert f"had brought {score_after('warehouse-even', 5000):,.0f}" in PAGE
     early = [score_after("warehouse-even", number) for number in (1000, 1400)]
     assert "this run had {:,.0f} and {:,.0f}".format(*early) in PAGE
-    notes = " ".join(
-        (EXPERIMENTS.parent / "notebooks" / "reference" / "notes.md").read_text().split()
-    )
     others = [f"warehouse-even{end}" for end in ("", "-cma-es", "-map-elites", "-dsage")]
     scores = [score_after(run, 1000) for run in others]
     sentence = "of {:,.0f}, CMA-ES {:,.0f}, MAP-Elites {:,.0f}, DSAGE (`dsage-laptop`) {:,.0f}"
-    assert sentence.format(*scores) in notes
+    assert sentence.format(*scores) in NOTES
 
 
 def test_the_archives_over_alpha():
@@ -110,3 +144,134 @@ def test_the_planners_effort_over_the_elites_that_were_compared():
     assert f"these move {gain:.1f} % more under high effort" in PAGE
     ratios = [paper[group].sum() / low[group].sum() for group in (flowing | True, flowing)]
     assert [round(100 * (1 - ratio), 1) for ratio in ratios] == [1.0, 0.1]
+
+
+def test_the_page_states_table_4_and_how_its_rows_compare():
+    made = [row for row in table("table_4") if row[2] == "1"]
+    for _, algorithm, _, _, score, _, _, paper, *_ in made:
+        if score != "12,754":  # of another agent
+            assert f"QD-score {score} and coverage" in PAGE
+        if algorithm != "cma-es":
+            assert paper.split(", 0")[0] in PAGE
+    score = {run.name: numbers(run.name, "objective").sum() for run in RUNS.iterdir()}
+    even, cma_es = score["warehouse-even"], score["warehouse-even-cma-es"]
+    assert f"has {even / score['warehouse-even-map-elites']:.1f} times its QD-score" in PAGE
+    assert f"archive scores {even / cma_es:.1f} times as much" in PAGE
+    early = score_after("warehouse-even-cma-es", 4000) / cma_es
+    assert f"{100 * early:.0f} % of that score were there after 4,000" in PAGE
+    assert f"{100 * (score['maze-walls'] / 22299 - 1):.0f} % above the published mean (" in PAGE
+    assert f"{100 * (score['maze-entropy'] / 12468.2 - 1):.0f} % above the published mean (" in PAGE
+    lowest = [numbers(run, "environment entropy").min() for run in WAREHOUSES]
+    assert min(lowest) > 0.35 and lowest[WAREHOUSES.index("warehouse-even-dsage")] > 0.9
+    front = page("README.md")
+    assert "an archive of {1} warehouses".format(*table("figure_16")[2][2:4]) in front
+
+
+def test_the_page_states_what_fleets_move():
+    moved = {(*row[:3], row[4][:3]): row[6] for row in table("table_5")}
+    for (_, maker, *_), text in moved.items():
+        if "zoo" in maker and "+-" in text:
+            assert text.replace("+-", "±") in PAGE
+    uneven = moved["warehouse-uneven", "CMA-MAE + NCA, zoo", "101 x 102", "our"]
+    assert f"**{100 * (1 - float(uneven[:6]) / 12.03):.1f} % below the paper's**" in PAGE
+    most = {tuple(row[:3]): row for row in table("figure_22") if row[4:]}
+    grown = most["warehouse-even", "101 x 102", "CMA-MAE + NCA, zoo"]
+    other = most["warehouse-even", "101 x 102", "CMA-ES + NCA"]
+    assert f"no more than {float(other[4]):.1f} tasks per timestep" in PAGE
+    assert f"and {grown[4]} with {int(grown[5]):,}" in PAGE
+    with (RESULTS / "congestion.csv").open() as lines:
+        rows_of = {(row["layout"], row["agents"]): row for row in csv.DictReader(lines)}
+    paper = rows_of["warehouse_even_nca_a5_eval", "1400"]
+    assert f"{paper['successes']} of {paper['runs']} runs succeed" in PAGE
+    peaks = {(row[0], row[1]): row[3].split(", ") for row in table("figure_18")}
+    front, large = page("README.md"), "101 x 102"
+    for domain in ("warehouse-uneven", "warehouse-even", "manufacturing"):
+        ours = moved[domain, "CMA-MAE + NCA, zoo", large, "our"]
+        by_hand, robots = peaks[domain, large]
+        assert f"| {float(ours[:6]):.1f} |" in front
+        assert f"| {float(by_hand) + 1e-9:.1f} ({int(robots):,}" in front
+
+
+def test_the_page_states_the_peaks_and_what_congests():
+    signs = [(row[4], row[5]) for row in table("figure_18")]
+    assert [text[0] for text, _ in signs].count("+") == 20 and all(s[0] == "+" for _, s in signs)
+    more = [[1 + int(cell.split()[0]) / 100 for cell in pair] for pair in signs[:14]]
+    least, top = np.min(more, axis=0), np.max(more, axis=0)
+    assert f"{least[0] + 1e-9:.1f} to {top[0]:.1f} times as much" in PAGE
+    assert f"with {least[1]:.1f} to {top[1] + 1e-9:.1f} times as many" in PAGE
+    rate = np.array(course("warehouse-uneven-human-33x36-200")["tasks"][:4]) / 100 / 50
+    assert f"from {rate[1]:.1f} tasks per timestep to {rate[3]:.1f} within 200" in PAGE
+    jams = {"-".join(key): course(usage.path(Folders()).stem) for key, usage in USAGE.items()}
+    assert [name for name, one in jams.items() if one["congested"]] == ["warehouse-even-tiled"]
+    assert jams["warehouse-even-tiled"]["congested"] == 1
+    shares = []
+    for usage in USAGE.values():
+        cells = np.sort(usage.read(Folders()).usage.ravel())[::-1]
+        driven = np.count_nonzero(cells)
+        shares.append(f"{100 * cells[: driven // 10].sum() / cells.sum():.0f}")
+    for first, second in zip(shares[::2], shares[1::2], strict=True):
+        assert f"{first} and {second} %" in PAGE or f"has {first} % of" in PAGE
+
+
+def test_the_page_states_layouts_repairs_and_mazes():
+    plan = layout("warehouse-uneven-nca-33x36")
+    left = plan[:, : plan.shape[1] // 2]
+    endpoints, shelves = (left == "e").sum(), (plan == "@").sum() - (left == "@").sum()
+    assert f"has {endpoints} of its {(plan == 'e').sum()} endpoints in the left half" in PAGE
+    assert f"and {shelves} of its {(plan == '@').sum()} shelves in the right" in PAGE
+    changed = {(row[0], row[1]): int(row[4]) for row in table("figure_12") + table("figure_23")}
+    for maker, text in (("a0", "{:,} cells changed"), ("a1", "with {}"), ("nca", "has {})")):
+        assert text.format(changed["warehouse-even", maker]) in PAGE
+    assert f"with {changed['warehouse-even', 'cma-es']} cells changed" in PAGE
+    spent = {
+        (row[0], row[1]): [float(row[n].split()[0]) for n in (4, 5)] for row in table("runtimes")
+    }
+    fleets = ("warehouse-even", "warehouse-uneven", "manufacturing")
+    for size, grown, repaired in (
+        ("33 x 36", "0.02 to 0.03", "0.1 to 0.2"),
+        ("101 x 102", "0.8 to 0.9", "1.2 to 1.8"),
+    ):
+        for column, text in enumerate((grown, repaired)):
+            digits = len(text.split()[0]) - 2
+            seconds = [spent[domain, size][column] for domain in fleets]
+            assert (
+                text == f"{min(seconds):.{digits}f} to {max(seconds):.{digits}f}" and text in PAGE
+            )
+    large = table("maze_success")[1]
+    assert large[1].startswith("100%") and f"a way of {large[2]} moves" in PAGE
+    assert large[4].replace("+-", "±") in PAGE
+
+
+def test_the_notes_state_algorithms_and_planners():
+    with (RESULTS / "algorithms.csv").open() as lines:
+        for row in csv.DictReader(lines):
+            pairs = [("qd_score", 1, 0), ("coverage", 100, 1), ("best_objective", 1, 3)]
+            cells = [
+                f"{scale * float(row[name]):.{digits}f}{' %' * (scale == 100)} ± "
+                f"{scale * float(row[f'{name}_margin']):.{digits}f}"
+                for name, scale, digits in pairs
+            ]
+            assert f"| {' | '.join(cells)} |" in NOTES, row["algorithm"]
+    with (RESULTS / "congestion.csv").open() as lines:
+        table = [row for row in csv.DictReader(lines) if row["timesteps"] == "1000"]
+    human = {
+        (row["agents"], row["planner"]): row for row in table if row["layout"] == "warehouse_human"
+    }
+    for agents in ("150", "200", "250", "300"):
+        cells = [
+            f"{float(human[agents, name]['throughput']):.2f}" for name in ("plain", "high", "low")
+        ]
+        assert f"| {' | '.join(cells)} |" in NOTES
+        assert human[agents, "published"]["successes"] == ("9" if agents == "150" else "0")
+
+
+def test_the_page_of_improvements_states_what_was_saved():
+    text = page("notebooks/how_to/improve.md")
+    for name in ("large", "columns_and_rooms", "aisle_2", "ell"):
+        with (RESULTS / f"improve_{name}.csv").open() as lines:
+            found = [row for row in csv.DictReader(lines) if row["section"] == "rows"]
+        cells = [found[0]["racks_moved"]] + [
+            f"+{float(row['percent']):.1f} % ({float(row['low']):.1f} to {float(row['high']):.1f})"
+            for row in found
+        ]
+        assert f"| {found[0]['agents']} | {' | '.join(cells)} |" in text
