@@ -14,8 +14,8 @@ ALL = "--help-all"
 _LEFT = 26  # characters of the column of options
 # What the short help leaves out, beside the settings of planners: each has a default that suits.
 _RARE = re.compile(
-    "--(width|format|audit|stop|seconds-per-step|pick|drop|shares|measures|frames|progress"
-    "|executor|scheduler|workers)"
+    "--(width|format|audit|stop|seconds-per-step|pick|drop|shares|measures|frames|progress|moves"
+    "|executor|scheduler|workers|cross-aisle|both-sides|task-rate)"
 )
 # Settings of a search that the short help lists; all others are left out.
 _SEARCHED = re.compile(
