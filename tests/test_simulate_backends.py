@@ -49,9 +49,8 @@ def test_a_simulation_in_xla_is_exported_whole_and_gives_the_hosts_numbers(plann
     arguments = layout, jax.random.key_data(jax.random.key(2))
     stored = jax.export.export(simulation(xla))(*arguments).serialize()
     exported = jax.export.deserialize(stored).call(*arguments)
-    on_host, jitted = (simulation(settings)(*arguments) for settings in (host, xla))
+    on_host = simulation(host)(*arguments)
     assert on_host[0] > 0.2  # tasks per timestep
-    jax.tree.map(np.testing.assert_array_equal, exported, jitted)
     jax.tree.map(np.testing.assert_array_equal, exported, on_host)
     with pytest.raises(Exception, match="callback"):
         jax.export.export(simulation(host))(*arguments).serialize()
@@ -102,7 +101,7 @@ def test_the_host_negotiates_as_xla_does(rule, settings):
         )
         prepare, run = programs(rule, config)
         outcomes.append([])
-        for seed in range(8):
+        for seed in range(6):
             layout = random_layout(np.random.default_rng(seed), 0.3 * (seed % 2))
             agents = int((0.3 + 0.05 * seed) * min(AGENTS, (layout != 1).sum()))
             key, count = jax.random.key(seed), jnp.int32(agents)
