@@ -85,6 +85,13 @@ def test_a_series_scales_shelves_with_the_generated_area_and_obeys_the_rules(run
     assert series[2].steps == 8
 
 
+def test_a_series_obeys_rules_on_aisles_and_racks(run):
+    rules = {"aisle": 2, "cross_aisle": 3}
+    for item in sizes.grow_sizes(run, "best", [(14, 13), (9, 9)], rules=rules):
+        domain = WAREHOUSE.resized(*item.layout.shape, item.numbers | rules)
+        assert len(domain.rules().covers) == 1 and audit(item.layout, domain.rules()) == []
+
+
 def test_a_series_of_a_guided_automaton_has_the_costs_of_each_size(tmp_path):
     generator = GuidedNcaConfig(steps=8, kernel_sizes=(3, 1, 1), hidden=8)
     guided = make_run(tmp_path / "guided", replace(SMALL, generator=generator))
@@ -246,12 +253,15 @@ def test_other_repair_seeds_give_other_layouts(run):
 def test_commands_write_layouts_pictures_and_a_table(run, tmp_path, capsys):
     out = tmp_path / "series"
     sized = ["--sizes", "11x12", "14x15"]
-    assert cli.run(["series", str(run.path), *sized, "--human", "--out", str(out)]) == 0
+    built = ["--aisle", "2", "--human", "--out", str(out)]
+    assert cli.run(["series", str(run.path), *sized, *built]) == 0
     table = list(csv.DictReader((out / "series.csv").read_text().splitlines()))
     assert [(row["rows"], row["cols"]) for row in table] == [("11", "12"), ("14", "15")]
     for row in table:
         layout = read_layout(out / f"nca_{row['rows']}x{row['cols']}.json", WAREHOUSE.tiles)
         assert shelves(layout) == int(row["shelves"])
+        grown = read_plan(out / f"nca_{row['rows']}x{row['cols']}.json")
+        assert grown.domain.config.aisle == 2 and not audit(layout, grown.fitted().rules())
     assert (out / "human_14x15.png").stat().st_size > 1000
     target = tmp_path / "frames.json"
     frames = ["generate", str(run.path), "--frames", "4", "--out", str(target)]

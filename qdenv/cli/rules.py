@@ -247,8 +247,7 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
         ranged = one and hasattr(domain.config, f"spare_{name}")
         number = args.Range if ranged else int if one else many
         listed.append((name, number, about + ", or 1000:1200" * ranged))
-    if one:  # of one layout
-        listed += [one for one in _settings(domain.config) if one[0] in domain.rule_settings]
+    listed += [one for one in _settings(domain.config) if one[0] in domain.rule_settings]
     return _options(listed)
 
 

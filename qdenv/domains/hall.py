@@ -37,15 +37,10 @@ _MEANINGS = {
 }
 
 
-@dataclass(frozen=True)
-class HallConfig(DomainConfig):
-    """The numbers of a hall."""
+@dataclass(frozen=True, kw_only=True)
+class BuiltConfig(DomainConfig):
+    """What a hall that is to be built demands beside its numbers of tiles."""
 
-    # agents, horizon and planner
-    fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    # number of shelves, at least; for a plan also a range like 1000:1200
-    shelves: NonNegativeInt = 240
-    spare_shelves: NonNegativeInt = 0  # how many more there may be; exactly as many unless given
     aisle: PositiveInt = 1  # least width of aisles in cells
     # rows and columns of the smallest rack, as 2x6, along either axis; any shape where empty
     rack: str = ""
@@ -55,6 +50,17 @@ class HallConfig(DomainConfig):
     # whether each rack has an aisle on both sides: every shelf lies in a straight run of one or two
     # with floor at both ends
     both_sides: bool = False
+
+
+@dataclass(frozen=True)
+class HallConfig(BuiltConfig):
+    """The numbers of a hall."""
+
+    # agents, horizon and planner
+    fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
+    # number of shelves, at least; for a plan also a range like 1000:1200
+    shelves: NonNegativeInt = 240
+    spare_shelves: NonNegativeInt = 0  # how many more there may be; exactly as many unless given
     pick: Stay = 0  # timesteps that a robot stays at an endpoint
     drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
     # shares of the tasks by the signs of stations, as i=1,o=3; all stations are alike where empty
@@ -105,15 +111,22 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: floa
     """
     drivable = "".join(tile for tile in tiles if tile not in _OBSTACLES)
     shape, kinds = (config.rows, config.cols), len(GENERATED)
+    sides = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,2})", config.rack)
+    if config.rack and not sides:
+        raise InputError(f"rack {config.rack!r}: give rows and columns like 2x6")
+    rack = (int(sides[1]), int(sides[2])) if sides else None
 
     def rules() -> Rules:
-        return Rules(
+        plain = Rules(
             tiles=tiles,
             counts=(Count("@", config.shelves, config.shelves),),
             adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
             connected=drivable,
             allowed=np.tile(np.arange(len(tiles)) < kinds, (*shape, 1)),
             change_cost=np.ones(shape, np.float32),
+        )
+        return plain.buildable(
+            config.aisle, rack, most=config.cross_aisle, both_sides=config.both_sides
         )
 
     def components(layout: jax.Array, runs: Traffic) -> jax.Array:
@@ -140,6 +153,7 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: floa
             Measure("environment entropy", 0, 1, 100, entropy),
         ),
         counted={"shelves": "@"},
+        rule_settings=("aisle", "rack", "cross_aisle", "both_sides"),
     )
 
 
@@ -155,18 +169,11 @@ def hall(config: HallConfig) -> Domain:
     shares = _by_station(config.shares, "shares")
     stations = station_goal(_STATIONS, _TILES, times, shares)
     domain = storage(config, _TILES, endpoints, stations, config.task_rate)
-    sides = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,2})", config.rack)
-    if config.rack and not sides:
-        raise InputError(f"rack {config.rack!r}: give rows and columns like 2x6")
-    rack = (int(sides[1]), int(sides[2])) if sides else None
 
     def rules() -> Rules:
         base = domain.rules()  # type: ignore[misc]
         most = config.shelves + config.spare_shelves
-        base = base._replace(counts=(Count("@", config.shelves, most), Count(_STATIONS, 1)))
-        return base.buildable(
-            config.aisle, rack, most=config.cross_aisle, both_sides=config.both_sides
-        )
+        return base._replace(counts=(Count("@", config.shelves, most), Count(_STATIONS, 1)))
 
     return replace(
         domain,
@@ -174,7 +181,6 @@ def hall(config: HallConfig) -> Domain:
         stays=_TILES[len(GENERATED) :],
         meanings=_MEANINGS,
         task_settings=("pick", "drop", "shares", "task_rate", "demand"),
-        rule_settings=("aisle", "rack", "cross_aisle", "both_sides"),
     )
 
 

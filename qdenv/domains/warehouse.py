@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from qdenv.domains import designs
-from qdenv.domains.base import Domain, DomainConfig, KnownSize, environment_entropy
-from qdenv.domains.hall import GENERATED, storage
+from qdenv.domains.base import Domain, KnownSize, environment_entropy
+from qdenv.domains.hall import GENERATED, BuiltConfig, storage
 from qdenv.generators import inside_frame
 from qdenv.grid import parse
 from qdenv.lazy import jax, jnp
@@ -52,7 +52,7 @@ def frame(tiles: Array) -> jax.Array:
 
 
 @dataclass(frozen=True)
-class WarehouseConfig(DomainConfig):
+class WarehouseConfig(BuiltConfig):
     """The numbers of a warehouse whose workstations are all drawn alike."""
 
     # agents, horizon and planner

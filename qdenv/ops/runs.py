@@ -232,7 +232,7 @@ def series(
         human: also draw what people design at each size.
         out: folder for the layouts, their pictures and series.csv; series unless given.
         **numbers: exact numbers of tiles for each size; unless given those known for it, or else
-            scaled with the area.
+            scaled with the area. Aisles and racks are the same for all.
 
     Returns:
         a layout for each size.
@@ -245,6 +245,10 @@ def series(
     """
     opened = args.open_run(run)
     domain = make_domain(opened.config.evaluation.domain)
+    rules: dict[str, Any] = {
+        name: numbers.pop(name) for name in domain.rule_settings if name in numbers
+    }
+    domain = domain.resized(*domain.shape, rules)
     from qdenv.study import elites as studies  # imports jax
 
     shapes = [studies.parse_size(text) for text in sizes] or list(studies.SIZES)
@@ -252,7 +256,7 @@ def series(
         check_size(*shape)
     folder = None if out is None else place_folder(out, "series")
     stated, grown, layouts = [*numbers, *(["steps"] if steps else [])], [], []
-    for item in studies.grow_sizes(opened, elite, shapes, steps, numbers, seed):
+    for item in studies.grow_sizes(opened, elite, shapes, steps, numbers, seed, rules):
         rows, cols = item.layout.shape
         say(*filter(None, [describe_growth(domain, (rows, cols), stated)]))
         grown.append(studies.details(item))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -218,12 +218,13 @@ def grow_sizes(
     steps: Sequence[int] = (),
     numbers: Mapping[str, Sequence[int]] | None = None,
     seed: int | None = None,
+    rules: Mapping[str, Any] | None = None,
 ) -> Iterator[Sized]:
     """Grow one elite at several sizes (rows, columns), and yield each layout when it is repaired.
 
     `which`, and `steps` and `numbers` for each size, are as in `grow_elite`; `seed` is that of the
-    repair, the run's own unless given. Raises InputError if there is no such elite, a size is
-    impossible, or a list has another length than `sizes`.
+    repair, the run's own unless given; `rules` are settings of aisles and racks. Raises InputError
+    if there is no such elite, a size is impossible, or a list has another length than `sizes`.
     """
     given = dict(numbers or {})
     for name, values in {"steps": steps, **given}.items():
@@ -233,6 +234,7 @@ def grow_sizes(
     seed = config.seed if seed is None else seed
     for index, shape in enumerate(sizes):
         own = {name: values[index] for name, values in given.items() if values}
+        own |= dict(rules or {})
         grown = grow_elite(run, which, shape, steps[index] if steps else None, own)
         sized = finish(grown, config.evaluation.repair, seed)
         yield sized._replace(costs=draw_grown_costs(config.evaluation, grown, sized.layout))
