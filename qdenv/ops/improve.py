@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -120,8 +119,8 @@ def _begin(folder: Path, plan: Plan, config: Any) -> None:
     """Write plan and settings into a new folder, or check that an old one holds the same."""
     content, domain = unstructured(config, _CHOICES) | {"name": plan.name}, plan.domain
     if (folder / SETTINGS).exists():
-        # As text and back: lists are no tuples.
-        same = read_json(folder / SETTINGS, dict[str, Any]) == json.loads(json.dumps(content))
+        # Read, not as text: settings that an earlier version did not have are as they were.
+        same = _read_settings(folder) == (plan.name, config)
         if not same or not np.array_equal(read_file(folder / PLAN).layout, plan.layout):
             raise InputError(f"{folder}: holds another plan or other settings: name a new --out")
         return
@@ -133,6 +132,16 @@ def _begin(folder: Path, plan: Plan, config: Any) -> None:
     write_json(folder / SETTINGS, content)
 
 
+def _read_settings(folder: Path) -> tuple[str, Any]:
+    """Read the plan's name and the settings (`ImproveConfig`) in a folder."""
+    from qdenv.study.improve import ImproveConfig
+
+    path = folder / SETTINGS
+    content = read_json(path, dict[str, Any])
+    name = structured(content.pop("name", None), str, path)
+    return name, structured(content, ImproveConfig, path, choices=_CHOICES)
+
+
 def improve_folder(
     folder: Path,
     progress: bool = True,
@@ -141,9 +150,7 @@ def improve_folder(
     """Go on with what `improve` began, to its end; InputError if the folder is not as it was."""
     from qdenv.study import improve as studies
 
-    content = read_json(folder / SETTINGS, dict[str, Any])
-    name = structured(content.pop("name", None), str, folder / SETTINGS)
-    config = structured(content, studies.ImproveConfig, folder / SETTINGS, choices=_CHOICES)
+    name, config = _read_settings(folder)
     if config.ending not in ENDINGS:  # it is part of names that are written
         raise damaged(folder / SETTINGS, f"ending: must be one of {', '.join(ENDINGS)}")
     with locked(folder):  # nothing is written through a link either

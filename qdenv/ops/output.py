@@ -56,7 +56,7 @@ class Place(NamedTuple):
         its data is somebody's, and the next free name is taken.
         """
         path = self.path.with_name(f"{self.path.stem}{ending}")
-        if ending and (self.automatic or not self.replaces and path.exists()):
+        if ending and (self.automatic or (not self.replaces and path.exists())):
             return Place(reserve(path), False, True)
         return Place(path, path.exists())
 

@@ -88,8 +88,9 @@ class NegotiatedConfig(Ranged):
         return np.float32(self.rounds) * -(-agents // self.lanes)
 
 
-# Low for the inside of a search: about half of high's time for 1 to 4 % less throughput where nothing
-# jams. More lanes than these cost throughput on either: their agents plan without one another.
+# Low for the inside of a search: about half of high's time for 1 to 4 % less throughput where
+# nothing jams. More lanes than these cost throughput on either: their agents plan without one
+# another.
 HIGH = NegotiatedConfig()
 LOW = NegotiatedConfig(
     lookahead=7, lanes=8, rounds=4.0, conflict_levels=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
