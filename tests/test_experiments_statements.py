@@ -11,6 +11,7 @@ import pytest
 from experiments.__main__ import find
 from experiments.figure_19 import USAGE
 from experiments.pieces import Folders
+from qdenv.stats import margin, sample_of
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 RESULTS = EXPERIMENTS / "results"
@@ -275,3 +276,16 @@ def test_the_page_of_improvements_states_what_was_saved():
             for row in found
         ]
         assert f"| {found[0]['agents']} | {' | '.join(cells)} |" in text
+
+
+def test_the_page_compares_exact_and_float_automata():
+    with (RESULTS / "arithmetic.csv").open() as lines:
+        runs = list(csv.DictReader(lines))
+    for name, scale, digits in (("qd_score", 1, 1), ("best_objective", 1, 3), ("coverage", 100, 1)):
+        exact, plain = (
+            scale * np.array([float(run[name]) for run in runs if run["arithmetic"] == kind])
+            for kind in ("exact", "float")
+        )
+        assert f" {exact.mean():.{digits}f} against " in PAGE
+        less = exact - plain
+        assert f"{less.mean():.{digits}f} ± {margin(sample_of(less)):.{digits}f}" in PAGE
