@@ -302,20 +302,20 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_800,
-    "files": 198,
-    "records": 196,
-    "public names": 1_260,
+    "lines": 33_491,
+    "files": 195,
+    "records": 195,
+    "public names": 1_240,
     "class names used twice": 0,
-    "functions of two lines": 345,
+    "functions of two lines": 336,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
     "pipeline:evaluate": 6,
-    "repairs.recipe:repair_layout": 106,
-    "run.loop:train": 46,
-    "ops.traffic:simulate": 130,
-    "ops.runs:generate": 195,
+    "repairs.recipe:repair_layout": 100,
+    "run.loop:train": 43,
+    "ops.traffic:simulate": 124,
+    "ops.runs:generate": 186,
     "simulation.mapf.pbs.planner:_plan_window": 51,
     "simulation.mapf.negotiated.numba.rounds:_plan_window": 57,
 }
