@@ -146,6 +146,7 @@ def test_facts_name_the_command_its_settings_and_the_version(folder, capsys):
         "valid": True,
         "rules": True,
         "broken": [],
+        "holds": [],
         "command": "check",
         "qdenv": metadata.version("qdenv"),
         "settings": {"layout": "p.txt", "domain": "hall", "keep": None, "numbers": {}},

@@ -201,13 +201,6 @@ def start(*arguments: str) -> subprocess.Popen:
     )
 
 
-def test_a_mistake_is_one_line_and_exit_code_2():
-    done = start("figure_99")
-    out, err = done.communicate()
-    assert done.returncode == 2 and not out
-    assert err.count("\n") == 1 and "figure_99" in err
-
-
 def test_whoever_has_read_enough_closes_the_list_in_peace():
     with start("--results", "nowhere") as listing:
         listing.stdout.close()

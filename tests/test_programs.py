@@ -11,6 +11,7 @@ pytestmark = pytest.mark.slow
 
 # What follows `python -m` -> what its one line must say.
 MISTAKES = {
+    "experiments figure_99": "unknown experiment 'figure_99'",
     "experiments --missing": "--missing needs a value (`python -m experiments --help`",
     "experiments --make table_6": "unknown experiment 'table_6'",
     "experiments --executer dask": "did you mean --executor?",

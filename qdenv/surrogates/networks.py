@@ -26,8 +26,9 @@ def convolve(maps: jax.Array, kernel: jax.Array, stride: int) -> jax.Array:
     """Convolve float32 [B, H, W, C] with a square kernel [k, k, C, F], k odd.
 
     A stride of 2, with a kernel of width 4, halves the sides; the last row and column of odd sides
-    count, too. In a compiled loop XLA has no fast code on CPUs for the gradients. Here the gradient by the kernel is one product of matrices, that by
-    the maps another convolution. The result is float32 [B, H // stride, W // stride, F].
+    count, too. In a compiled loop XLA has no fast code on CPUs for the gradients. Here the gradient
+    by the kernel is one product of matrices, that by the maps another convolution. The result is
+    float32 [B, H // stride, W // stride, F].
     """
     size = kernel.shape[0]
     assert (size % 2, stride) == (1, 1) or (size, stride) == (4, 2), "no such convolution"
