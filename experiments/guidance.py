@@ -3,13 +3,15 @@
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse empty
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse --agents 100:600:100
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases empty --search 50000 --seeds 5
+    python -m experiments.guidance --cases calm --agents 500,625
 
 Zhang, Jiang, Bhatt, Nikolaidis and Li 2024, "Guidance graph optimization for lifelong multi-agent
 path finding", https://arxiv.org/abs/2402.01446, Table 3: T = 1000, PIBT plans every timestep anew,
 priority-based search ten timesteps every five. The floors and graphs are its authors' and no part
-of this repository: they are read from the folder that QDENV_STUDY_DATA names. Costs that the search
-of `qdenv guide` found are in results/guidance/CASE-SEED.json; further ones are made by --search, in
-runs/guidance/CASE-SEED, where an interrupted search goes on.
+of this repository: they are read from the folder that QDENV_STUDY_DATA names. The case `calm` is a
+floor of the zoo. Costs that were found by the search of `qdenv guide` are in
+results/guidance/CASE-SEED.json; further ones are made by --search, in runs/guidance/CASE-SEED,
+where an interrupted search goes on.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ from qdenv.domains.base import DOMAINS, Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.guidance import unscaled_costs
 from qdenv.io.layouts import write_layout
+from qdenv.ops.runs import generate
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.pbs.settings import PbsConfig
@@ -38,7 +41,7 @@ from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.guides import find_guidance, guide_config
 from qdenv.study.options import parse_counts
-from qdenv.study.plans import guide, read_plan
+from qdenv.study.plans import Plan, guide, read_plan
 from qdenv.study.table import Row, Trial, compare, write_rows
 from qdenv.types import InputError, Measure, TaskRule, Tile, look_up
 
@@ -97,7 +100,7 @@ class Case(NamedTuple):
     """A row of the published table."""
 
     domain: str
-    floor: str  # file of the floor
+    floor: str  # file of the floor, or a generator of the zoo
     graph: str  # file of the published graph; "" where only the floor is at hand
     fleet: FleetConfig
     published: dict[str, float]  # throughput by guidance; "graph" is the best published one
@@ -135,6 +138,14 @@ CASES = {
     "warehouse-pbs": Case(
         "published-floor", _KIVA, _KIVA, SEARCH, {"crisscross": 5.59, "graph": 6.58}
     ),
+    # As `qdenv guide calm.json --robots 500 --planner pibt --timesteps 1000` drives.
+    "calm": Case(
+        "warehouse-even",
+        "zoo:warehouse-even/calm",
+        "",
+        FleetConfig(500, 1000, planner=PibtConfig()),
+        {},
+    ),
 }
 
 
@@ -146,10 +157,18 @@ def published(name: str) -> Path:
     return Path(folder) / "guidance" / f"{name}.json"
 
 
+def read_floor(case: Case) -> Plan:
+    """Read the published floor of a case, or grow that of the zoo."""
+    if not case.floor.startswith("zoo:"):
+        return read_plan(published(case.floor), case.domain)
+    grown = generate(case.floor)
+    return Plan(case.floor, grown.layout, grown.domain, assumed=False)
+
+
 def find_costs(name: str, seed: int, simulations: int) -> None:
     """Find costs for the floor of a case, one simulation an evaluation, and write them."""
     case: Case = look_up(CASES, name, "case")
-    plan = read_plan(published(case.floor), case.domain)
+    plan = read_floor(case)
     numbers = {"evaluations": simulations, "simulations": 1, "seed": seed}
     config = guide_config(plan, case.fleet, "costs", "crisscross", **numbers)
     run = whole_run(config, Path("runs/guidance") / f"{name}-{seed}", report=print)
@@ -170,7 +189,7 @@ def find_costs(name: str, seed: int, simulations: int) -> None:
 def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
     """Simulate a case under each guidance; the rows are named CASE/GUIDANCE."""
     case: Case = look_up(CASES, name, "case")
-    plan = read_plan(published(case.floor), case.domain)
+    plan = read_floor(case)
     guidances: dict[str, Any] = {"none": "none", "crisscross": "crisscross"}
     if case.graph:
         guidances["graph"] = published(case.graph)
@@ -189,10 +208,10 @@ def main(
     out: Path = Path("runs/guidance.csv"),
     search: int = 0,
 ) -> None:
-    """Simulate published floors without guidance, with the published one and with ours.
+    """Simulate floors without guidance, with the published one and with ours.
 
     Args:
-        cases: random, warehouse, warehouse-150, empty, warehouse-pbs.
+        cases: random, warehouse, warehouse-150, empty, warehouse-pbs, calm (of the zoo).
         agents: numbers of agents: 200, or 150,200, or 50:400:50; as published unless given.
         seeds: number of runs of each, or of searches.
         out: table to write.

@@ -11,7 +11,11 @@ import pytest
 from experiments.__main__ import find
 from experiments.figure_19 import USAGE
 from experiments.pieces import Folders
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.stats import margin, sample_of
+from qdenv.study.engine import run_seeds
+from qdenv.study.plans import read_plan
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 RESULTS = EXPERIMENTS / "results"
@@ -289,3 +293,13 @@ def test_the_page_compares_exact_and_float_automata():
         assert f" {exact.mean():.{digits}f} against " in PAGE
         less = exact - plain
         assert f"{less.mean():.{digits}f} ± {margin(sample_of(less)):.{digits}f}" in PAGE
+
+
+@pytest.mark.slow
+def test_the_page_of_guidance_states_what_saved_costs_move():
+    plan = read_plan(RESULTS / "guidance" / "calm-0.json")
+    config = FleetConfig(500, 1000, planner=PibtConfig())
+    runs = run_seeds(plan.floor, plan.domain.simulator.tasks, config, range(10)).runs
+    moved = sample_of([float(run.throughput) for run in runs])
+    stated = f"| 10.75 ± {moved.error:.2f} after 20,000 simulations"
+    assert f"{moved.mean:.2f}" == "10.75" and stated in page("notebooks/how_to/guidance.md")
