@@ -41,15 +41,15 @@ def threads() -> int:
     return count_cores() if on_cpu() else 1
 
 
-def check_memory(make: Callable, argument: Any, what: str, fewer: str) -> None:
-    """Raise InputError if what `make` returns is larger than the memory here; `fewer`: advice.
+def check_memory(make: Callable, argument: Any, what: str, advice: str) -> None:
+    """Raise InputError if `make(argument)` would return more than the memory of this machine holds.
 
-    Nothing is computed: the shapes are known before.
+    Only shapes are computed. The message is "`what` takes ... of memory: choose `advice`".
     """
     leaves = jax.tree.leaves(jax.eval_shape(lambda: make(argument)))
     needed = sum(leaf.size * leaf.dtype.itemsize for leaf in leaves)
     if needed > os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"):
-        raise InputError(f"{what} takes {needed / 2**30:,.0f} GiB of memory: choose {fewer}")
+        raise InputError(f"{what} takes {needed / 2**30:,.0f} GiB of memory: choose {advice}")
 
 
 def count_cores() -> int:

@@ -180,21 +180,22 @@ class Rules(NamedTuple):
         aisle: int = 1,
         rack: tuple[int, int] | None = None,
         of: str = "@",
-        most: int = 0,
+        cross_aisle: int = 0,
         both_sides: bool = False,
     ) -> Rules:
         """Add that aisles are `aisle` cells wide and tiles `of` stand in racks of rows x columns.
 
-        A rack stands along either axis; where racks meet, they form longer ones. Unless it is 0,
-        `most` is that of `Straight`. With `both_sides` each lies in a row, or column, of one or two
-        of them with the driving area at both ends.
+        A rack stands along either axis; where racks meet, they form longer ones. `cross_aisle` is
+        the most rows, and columns, between two straight aisles (`Straight`), any number where 0.
+        With `both_sides` each lies in a row, or column, of one or two of them with the driving area
+        at both ends.
         """
         more = (Cover(self.connected, ((aisle, aisle),)),) * (aisle > 1)
         if rack is not None:
             more += (Cover(of, tuple(sorted({rack, rack[::-1]}))),)
         if both_sides:
             more += (Cover(of, ((1, 3), (1, 4), (3, 1), (4, 1)), self.connected),)
-        straight = Straight(of, most) if most else None
+        straight = Straight(of, cross_aisle) if cross_aisle else None
         return self._replace(covers=self.covers + more, straight=straight)
 
 

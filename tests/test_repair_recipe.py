@@ -58,7 +58,7 @@ def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
         {"aisle": 2},
         {"rack": (1, 2)},
         {"aisle": 2, "rack": (1, 2)},
-        {"most": 1},
+        {"cross_aisle": 1},
         {"both_sides": True},
     ],
 )
@@ -127,8 +127,8 @@ def test_engineers_rules_are_kept():
         ({"aisle": 2}, 40),
         ({"aisle": 2, "rack": (2, 4)}, 40),
         ({"rack": (1, 3)}, 60),
-        ({"aisle": 2, "rack": (2, 4), "most": 4}, 32),
-        ({"most": 3}, 60),
+        ({"aisle": 2, "rack": (2, 4), "cross_aisle": 4}, 32),
+        ({"cross_aisle": 3}, 60),
         ({"rack": (2, 4), "both_sides": True}, 56),
     ],
 )

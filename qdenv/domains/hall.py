@@ -125,9 +125,7 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: floa
             allowed=np.tile(np.arange(len(tiles)) < kinds, (*shape, 1)),
             change_cost=np.ones(shape, np.float32),
         )
-        return plain.buildable(
-            config.aisle, rack, most=config.cross_aisle, both_sides=config.both_sides
-        )
+        return plain.buildable(config.aisle, rack, "@", config.cross_aisle, config.both_sides)
 
     def components(layout: jax.Array, runs: Traffic) -> jax.Array:
         return score.components(layout, "@", tiles)
@@ -153,7 +151,7 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: floa
             Measure("environment entropy", 0, 1, 100, entropy),
         ),
         counted={"shelves": "@"},
-        rule_settings=("aisle", "rack", "cross_aisle", "both_sides"),
+        rule_settings=tuple(BuiltConfig.__annotations__),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, make_domain
-from qdenv.domains.hall import GENERATED
+from qdenv.domains.hall import GENERATED, BuiltConfig
 from qdenv.interrupt import advise
 from qdenv.io.files import damaged, locked, write_csv, write_json
 from qdenv.io.formats import holds
@@ -91,7 +91,7 @@ def improve(
     if minutes is None and evaluations is None:
         minutes = _MINUTES
     numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
-    named = ("shelves", "aisle", "rack", "cross_aisle", "both_sides")
+    named = ("shelves", *BuiltConfig.__annotations__)
     rules: dict[str, Any] = {name: given.pop(name) for name in named if name in given}
     options = args.Fleet(given)
     plan = options.read_plan(layout)
@@ -119,7 +119,7 @@ def _begin(folder: Path, plan: Plan, config: Any) -> None:
     """Write plan and settings into a new folder, or check that an old one holds the same."""
     content, domain = unstructured(config, _CHOICES) | {"name": plan.name}, plan.domain
     if (folder / SETTINGS).exists():
-        # Read, not as text: settings that an earlier version did not have are as they were.
+        # Compared as settings, not as text: what an earlier version lacked has its default.
         same = _read_settings(folder) == (plan.name, config)
         if not same or not np.array_equal(read_file(folder / PLAN).layout, plan.layout):
             raise InputError(f"{folder}: holds another plan or other settings: name a new --out")

@@ -67,7 +67,7 @@ def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
 
 
 def check_built(layout: np.ndarray, rules: Rules) -> Iterator[tuple[str, list[Violation]]]:
-    """List the rules of halls that are built, in words, each with what breaks it."""
+    """Yield each rule on aisles and racks, in words, with what breaks it."""
     for tiles, shapes, ends in rules.covers:
         holds = np.asarray(of_tiles(layout, tiles, rules.tiles))
         may = rules.allowed[..., [tile in tiles for tile in rules.tiles]]
@@ -78,21 +78,16 @@ def check_built(layout: np.ndarray, rules: Rules) -> Iterator[tuple[str, list[Vi
         )
         (rows, cols), fixed = shapes[0], may.sum(-1) == rules.allowed.sum(-1)
         if set(tiles) == set(rules.connected):
-            wrong = holds & ~covered & room
-            yield (
-                f"aisles {rows} cells wide",
-                _violations(f"aisle narrower than {rows} cells", wrong),
-            )
+            message = f"aisle narrower than {rows} cells"
+            yield f"aisles {rows} cells wide", _violations(message, holds & ~covered & room)
             continue
         rack = f"rack of {rows} x {cols}"
         if ends:
             covered = _between(holds, np.asarray(of_tiles(layout, ends, rules.tiles)))
             rack = "rack with aisles on both sides"
-        message = f"{rules.name(tiles)} in no {rack}"
-        yield (
-            f"every {rules.name(tiles)} in a {rack}",
-            _violations(message, holds & ~covered & ~fixed),
-        )
+        noun = rules.name(tiles)
+        broken = _violations(f"{noun} in no {rack}", holds & ~covered & ~fixed)
+        yield f"every {noun} in a {rack}", broken
     if rules.straight:
         tiles, most = rules.straight
         holds, wrong = np.asarray(of_tiles(layout, tiles, rules.tiles)), list[Violation]()

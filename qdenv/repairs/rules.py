@@ -112,7 +112,7 @@ class Facts:
             may, other = (allowed & barred).any(-1), (allowed & ~barred).any(-1)
             # Where that is equal as few aisles as possible, on cells that matter least.
             cost = self.rules.change_cost * (may & barred[layout]) + 1e-3 * may
-            lines = _choose(np.where(may & ~other, np.inf, cost).sum(axis), most)
+            lines = _choose_lines(np.where(may & ~other, np.inf, cost).sum(axis), most)
             clear = (lines[:, None] if axis else lines) & other
             allowed &= ~(clear[..., None] & barred)
         return Facts(self.rules._replace(allowed=allowed, straight=None))
@@ -127,7 +127,7 @@ class Facts:
         return float((self.rules.change_cost * (candidate != layout)).sum())
 
 
-def _choose(cost: np.ndarray, most: int) -> np.ndarray:
+def _choose_lines(cost: np.ndarray, most: int) -> np.ndarray:
     """Choose lines of the least `cost` (float [n] -> bool [n]), at most `most` between any two."""
     best, before = [0.0], [0]
     for place, own in enumerate([*cost, 0.0]):

@@ -118,13 +118,13 @@ def draw_hall(rng: np.random.Generator) -> Hall:
     number = int(rng.uniform(0.02, 0.7) * free)
     if planted:
         rules = hall_rules(building, free + 1, None).buildable(
-            aisle, rack, most=cross, both_sides=both
+            aisle, rack, cross_aisle=cross, both_sides=both
         )
         layout = plant(building, rules, rack or (int(rng.integers(1, 3)), 2), rng)
         number = int((layout == SHELF).sum())
         planted = number > 0
     rules = hall_rules(building, number, number)
-    rules = rules.buildable(aisle, rack, most=cross, both_sides=both)
+    rules = rules.buildable(aisle, rack, cross_aisle=cross, both_sides=both)
     if planted:
         assert not qdenv.audit(layout, rules), qdenv.audit(layout, rules)
     odds = rng.dirichlet(np.ones(3))

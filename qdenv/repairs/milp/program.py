@@ -155,7 +155,7 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
     rows = [Constraints(*(x[use] for x in part)) for part, use in zip(rows, used, strict=True)]
     upper, integer = np.ones(size), np.ones(size, bool)
     upper[[column for pair in retypes.values() for column in pair]] = layout.size
-    # A rectangle is whole when its cells are, a line free likewise: no need to branch on it.
+    # Nothing branches on rectangles and straight aisles: their cells decide what they are.
     for columns in (*wholes, *lines):
         integer[columns[columns >= 0]] = False
     cost, constant = _cost(cells, retypes, facts, layout, size)
