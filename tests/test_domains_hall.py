@@ -158,8 +158,8 @@ def test_straight_aisles_and_both_sides_are_rules_of_a_hall(tmp_path, capsys):
     rules = ["--cross-aisle", "1", "--both-sides"]
     assert run(["check", path, *rules, "--rack", "1x2"]) == 1
     said = capsys.readouterr().out
-    place = "in more than 1 rows: 4 cells, the first at row 1, column 3"
-    assert f"shelves without a straight aisle {place}" in said
+    place = "4 cells, the first at row 1, column 3"
+    assert f"shelves in more than 1 rows without a straight aisle: {place}" in said
     assert "holds: every shelf in a rack of 1 x 2\n" in said
     assert "holds: every shelf in a rack with aisles on both sides\n" in said
     made = str(tmp_path / "made.txt")

@@ -95,7 +95,7 @@ def check_built(layout: np.ndarray, rules: Rules) -> Iterator[tuple[str, list[Vi
             labels, _ = ndimage.label(holds.any(axis))
             long = (labels > 0) & (np.bincount(labels)[labels] > most)
             many = rules.name(tiles, True)
-            message = f"{many} without a straight aisle in more than {most} {lines}"
+            message = f"{many} in more than {most} {lines} without a straight aisle"
             wrong += _violations(message, holds & (long[:, None] if axis else long))
         yield f"a straight aisle after {most} rows and columns at most", wrong
 
