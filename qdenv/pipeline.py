@@ -125,8 +125,9 @@ def simulate_layouts(
     items = layouts, solutions, keys if guide else None
 
     def share(items: tuple[Any, ...], runs: jax.Array) -> Any:
-        on_host = runs.shape[1] if simulator.layout_at_once else 1
-        lanes = devices.lanes(simulator.accelerator_lanes, on_host)
+        lanes = runs.shape[1] if simulator.layout_at_once else 1
+        if not simulator.on_host():
+            lanes = devices.lanes(simulator.accelerator_lanes, lanes)
 
         def one(item: tuple[Any, ...]) -> Any:
             layout, solution, key, runs = item

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import qdenv
+from qdenv import devices
 from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.nca import NcaConfig
 from qdenv.pipeline import EvaluationConfig, PipelinedEvaluator
@@ -59,14 +60,20 @@ def test_only_the_repair_leaves_the_device(in_xla):
     assert callbacks(experiment("host")) > 1
 
 
-def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(in_xla):
+@pytest.mark.parametrize("accelerated", [False, True])
+def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(
+    in_xla, accelerated, monkeypatch
+):
+    """Beside an accelerator fleets are simulated on the host's cores all the same."""
     state = in_xla.algorithm.init(in_xla.search_key)
     iterate = qdenv.make_iteration(in_xla)
     numbers = np.arange(1, ITERATIONS + 1)
     run = jax.jit(lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, numbers)[0])
     together = in_xla.algorithm.archive(run(state)).elites()
 
-    on_host = experiment("host")
+    if accelerated:
+        monkeypatch.setattr(devices, "on_cpu", lambda: False)
+    on_host = experiment("auto")
     evaluator = PipelinedEvaluator(on_host.pipeline, Threads(on_host.pipeline))
     ask, tell = jax.jit(on_host.algorithm.ask), jax.jit(on_host.algorithm.tell)
     for number in numbers:

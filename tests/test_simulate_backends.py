@@ -56,10 +56,13 @@ def test_a_simulation_in_xla_is_exported_whole_and_gives_the_hosts_numbers(plann
         jax.export.export(simulation(host))(*arguments).serialize()
 
 
+@pytest.mark.parametrize("device", ["cpu", "default"])
 @pytest.mark.parametrize("keep", [False, True])
 @pytest.mark.parametrize("planner", BACKENDS)
-def test_a_run_outside_of_xla_is_the_one_inside_bit_for_bit(planner, keep):
+def test_a_run_outside_of_xla_is_the_one_inside_bit_for_bit(planner, keep, device, monkeypatch):
     """Studies drive on the host without a program around it; seven agents have room for nine."""
+    # An accelerator calls the host in another way.
+    monkeypatch.setattr(jax.lax, "platform_dependent", lambda *inputs, **by: by[device](*inputs))
     config = fleet.FleetConfig(agents=9, timesteps=53, planner=BACKENDS[planner][0])
     layout = random_layout(np.random.default_rng(5), 0.2)
     prepare, run, _ = _program(SERVICES, config, layout.shape, keep, priced=False)

@@ -31,19 +31,25 @@ CLUSTER = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None
 
 
 def pipeline(
-    preset: str = "warehouse-even", iterations: int = 3, seed: int = 0, json: Path | None = None
+    preset: str = "warehouse-even",
+    iterations: int = 3,
+    batch: int = 0,
+    seed: int = 0,
+    json: Path | None = None,
 ) -> Row:
     """Time some iterations of a search, then one more stage by stage.
 
-    Compilation happens in an iteration of its own.
+    Compilation happens in an iteration of its own. `JAX_PLATFORMS=cpu` keeps an accelerator out.
 
     Args:
         preset: a named configuration.
         iterations: number of timed iterations, whose repairs and simulations overlap.
+        batch: solutions of each emitter; 0: the preset's.
         seed: of the search.
         json: file of the result.
     """
-    experiment = qdenv.make_experiment(preset, seed=seed)
+    options = {"batch": batch} if batch else {}
+    experiment = qdenv.make_experiment(preset, seed=seed, **options)
     if experiment.pipeline.pool is None:
         raise qdenv.InputError(f"nothing is repaired in {preset}: choose another preset")
     evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))

@@ -47,9 +47,9 @@ class Threads:
     """Repair and simulate in threads of this process.
 
     Chunks of layouts are simulated (a compiled call releases the GIL) as soon as their repairs
-    are ready: on a CPU one layout per chunk and one thread per core, on an accelerator one thread
-    that feeds larger chunks, for all of them where there are several. `progress` is called with
-    the number of layouts that were completed, by any thread.
+    are ready: on the host's cores one layout per chunk and one thread per core, on an accelerator
+    one thread that feeds larger chunks, for all of them where there are several. `progress` is
+    called with the number of layouts that were completed, by any thread.
     """
 
     def __init__(
@@ -58,12 +58,13 @@ class Threads:
         """Compile nothing yet."""
         self._pipeline, self._progress = pipeline, progress
         sharing = pipeline.domain.simulator.num_devices
+        self._on_host = pipeline.domain.simulator.on_host()
         # The number of layouts that one call simulates at most.
-        self._chunk = sharing * devices.lanes(devices.ACCELERATOR_CHUNK)
+        self._chunk = 1 if self._on_host else sharing * devices.lanes(devices.ACCELERATOR_CHUNK)
         self._simulate = jax.jit(pipeline.simulate)
         # Devices that share one call must get their calls in one order, or they wait for ever.
         self._turn = turn if sharing > 1 else contextlib.nullcontext()
-        self._threads = ThreadPoolExecutor(devices.threads())
+        self._threads = ThreadPoolExecutor(devices.threads(self._on_host))
 
     def __call__(
         self, unrepaired: np.ndarray, key: Array, solutions: np.ndarray | None = None
@@ -90,7 +91,7 @@ class Threads:
         done = [future.result() for future in repairs]
         layouts = np.stack([repair.layout for repair in done])
         status = np.array([repair.status for repair in done], np.int32)
-        with self._turn:
+        with self._turn, devices.placed(self._on_host):
             runs = jax.tree.map(np.asarray, self._simulate(layouts, chunk, key, solutions))
         self._progress(len(chunk))
         return layouts, status, runs

@@ -73,7 +73,7 @@ def run_seeds(
         return traffic, reading, time.thread_time() - since
 
     # A compiled call leaves the interpreter lock, so threads use all cores.
-    pool = ThreadPoolExecutor(threads or devices.threads())
+    pool = ThreadPoolExecutor(threads or devices.threads(on_host))
     try:
         futures = [pool.submit(one, seed) for seed in seeds]
         share, left = 0.0, set(futures)

@@ -7,6 +7,7 @@ the layout is traced, so all layouts of one size share one compiled program.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, TypeAlias
 
 import chex
@@ -210,10 +211,18 @@ def _run(
             outcome, world, seed, agents = jax.tree.map(np.asarray, buffers)
             simulate_into(outcome, planner, world, int(agents), run_settings(config, int(seed)))
 
+        def copied(*inputs: Any) -> Any:
+            outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), like)
+            on_host(None, outcome, *inputs)
+            return outcome
+
         like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
-        # The callback works on jax's own buffers.
-        simulate_there = buffer_callback(on_host, like, vmap_method="sequential")
-        outcome: Outcome = simulate_there(world, seed, active.sum())
+        # On a CPU the callback works on jax's own buffers, which elsewhere it cannot reach.
+        outcome: Outcome = jax.lax.platform_dependent(
+            *(world, seed, active.sum()),
+            cpu=buffer_callback(on_host, like, vmap_method="sequential"),
+            default=partial(jax.pure_callback, copied, like, vmap_method="sequential"),
+        )
         return outcome
     first = place(world, config.window, active, seed)
     counters, _, _, room, _ = blank_outcome(world, config, keep)

@@ -54,7 +54,7 @@ class NegotiatedConfig(Ranged):
     # what agents without a reservation do: the joint plan of PIBT, or standing still, which
     # congests as priority-based search does
     last_resort: Literal["pibt", "wait"] = "pibt"
-    # where to run: compiled host code, XLA, or the former on a CPU and else the latter ("auto")
+    # where to run: compiled host code ("auto", too) or XLA
     backend: Backend = "auto"
 
     def __post_init__(self) -> None:

@@ -14,8 +14,7 @@ class PibtConfig(Ranged):
     Okumura et al. 2022, https://arxiv.org/abs/1901.11282.
     """
 
-    # "host" for compiled code in a callback, "xla" for code without a callback, "auto" for the host
-    # where jax computes on a CPU. The results are the same.
+    # where to run: compiled host code ("auto", too) or XLA; the results are the same
     backend: Backend = "auto"
     # whether agents change places where there is no room for two to pass (Okumura 2023): for floors
     # with dead ends and narrow passages; always computed on the host
