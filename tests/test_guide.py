@@ -9,6 +9,7 @@ from small_warehouse import ROWS
 
 import qdenv
 from qdenv.ops.guidance import FILE, PICTURE
+from qdenv.study.elites import make_costs_drawer
 from qdenv.study.guides import read_solutions
 from qdenv.types import InputError
 
@@ -64,6 +65,22 @@ def test_a_pause_and_going_on_end_where_one_search_does(found, plan, tmp_path):
     assert (run.path / FILE).read_bytes() == (whole / FILE).read_bytes()
 
 
+def test_a_search_goes_on_from_the_costs_of_another(found, plan, tmp_path):
+    before = found[1] / FILE
+    qdenv.guide(plan, path=tmp_path / "on", guidance=before, evaluations=80, minutes=1e-9, **FLEET)
+    qdenv.guide(plan, path=tmp_path / "whole", guidance=before, evaluations=80, **FLEET)
+    run = qdenv.resume(tmp_path / "on", progress=False)
+    assert (run.path / FILE).read_bytes() == (tmp_path / "whole" / FILE).read_bytes()
+    domain, start = qdenv.make_domain(run.config.evaluation.domain), run.read_start()
+    assert start.std() > 0.1
+    drawn = make_costs_drawer(run.config.evaluation, domain)(start[None], run.best.layout[None])[0]
+    ours = qdenv.read_plan(before).costs
+    moves = np.isfinite(ours)
+    ratio = drawn[moves] / ours[moves]
+    # The drawn ones are whole numbers, a 64th of the mean apart.
+    np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=0.5 / drawn[moves].min())
+
+
 def test_an_update_model_serves_a_floor_of_another_size(plan, tmp_path):
     qdenv.guide(plan, method="update", path=tmp_path / "model", evaluations=40, **FLEET)
     larger = tmp_path / "larger.json"
@@ -88,8 +105,9 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
         qdenv.guide(plan, model=path, path=tmp_path / "out", **FLEET)
     with pytest.raises(InputError, match="simulate fewer agents"):
         qdenv.guide(plan, path=tmp_path / "out", **FLEET | {"agents": 500})
-    with pytest.raises(InputError, match="begins at none or crisscross"):
-        qdenv.guide(plan, guidance="human-cost", path=tmp_path / "out", **FLEET)
+    with pytest.raises(InputError, match="an update model begins at none or crisscross"):
+        other = FLEET | {"method": "update", "guidance": "human-cost"}
+        qdenv.guide(plan, path=tmp_path / "out", **other)
     maze = qdenv.read_plan(plan)._replace(domain=qdenv.find_domain("maze-walls"))
     with pytest.raises(InputError):
         qdenv.guide(maze, path=tmp_path / "out", **FLEET)

@@ -23,6 +23,7 @@ from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study import table as studies
 from qdenv.study.plans import Plan
+from qdenv.study.plans import guide as guide_plan
 from qdenv.types import InputError
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ def guide(
     """Find costs of moves by which a fleet moves more on a floor that stays as it is.
 
     The run's folder gets the costs (guidance.json, for --guidance), a picture of them, and a table
-    of the throughput before and after over numbers of agents.
+    of the throughput before and after over numbers of agents. A search begins at the costs of
+    --guidance, crisscross unless given, and goes on from those of another search.
 
     Args:
         layout: layout file.
@@ -69,10 +71,11 @@ def guide(
     """
     given: dict[str, Any] = dict(search)
     minutes, base = given.pop("minutes", None), given.pop("guidance", None) or "crisscross"
+    named = isinstance(base, str) and base in get_args(Base)
     usual = {"evaluations": 2000, "simulations": 1, "seed": 0}
     numbers = {name: given.pop(name, one) for name, one in usual.items()}
-    if base not in get_args(Base):
-        raise InputError(f"guidance {base}: a search begins at none or crisscross")
+    if not named and method == "update":
+        raise InputError(f"guidance {base}: an update model begins at none or crisscross")
     if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
@@ -89,6 +92,10 @@ def guide(
     from qdenv.study import guides
 
     with studies.about(name):
+        start = None
+        if not named:
+            guided = guide_plan(plan, base)
+            start, base = guides.start_at(guided), guided.guidance
         config = guides.guide_config(plan, fleet, method, base, **numbers)
     planner = describe_planner(fleet.planner)
     say(*filter(None, [note]), f"{agents} agents, {timesteps} timesteps; planner: {planner}")
@@ -98,7 +105,7 @@ def guide(
         path.mkdir(parents=True, exist_ok=True)
         return show_guidance(plan, costs, fleet, path, {"model": str(model), "judged": judged})
     say(f"{numbers['evaluations']} evaluations into {path}")
-    run = loop.train(config, path, progress, execution, minutes or np.inf)
+    run = loop.train(config, path, progress, execution, minutes or np.inf, start)
     return finish_guide(run, plan.name)
 
 

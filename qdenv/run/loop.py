@@ -42,15 +42,17 @@ def train(
     progress: bool = True,
     execution: Execution = Execution(),  # noqa: B008 (frozen)
     minutes: float = math.inf,
+    start: np.ndarray | None = None,
 ) -> RunDirectory:
     """Search generators and leave everything in a new run directory.
 
-    The search pauses after the iteration in which `minutes` have passed; `resume` goes on. Raises
+    It begins at `start` (float [P]), by default what `config.start` names. The search pauses after
+    the iteration in which `minutes` have passed; `resume` goes on. Raises
     InputError if a setting is impossible, no layout could count, the folder holds a run already or
     is read-only.
     """
     check(config)
-    start = find_start(config)
+    start = find_start(config) if start is None else start
     experiment = build_experiment(config, start)
     # The state of the search alone, before a folder exists.
     fewer = "fewer emitters, a smaller batch or a smaller generator"

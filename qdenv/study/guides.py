@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.generators import CostsConfig, UpdateConfig
+from qdenv.generators import Base, CostsConfig, UpdateConfig
 from qdenv.grid import draw
+from qdenv.guidance import existing_moves
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Search
@@ -33,24 +34,28 @@ JUDGES = tuple(range(1_000_000, 1_000_010))  # seeds by which what was found is 
 _ALGORITHMS = {
     "costs": CmaEsConfig(batch=40, sigma0=0.3, strategy="CR_FM_NES"),
     "update": CmaEsConfig(batch=40, sigma0=0.1, strategy="CR_FM_NES"),
+    "costs found": CmaEsConfig(batch=40, sigma0=0.1, strategy="CR_FM_NES"),  # by another search
 }
 
 
 def guide_config(
-    plan: Plan, fleet: FleetConfig, method: str, base: Any, **numbers: int
+    plan: Plan, fleet: FleetConfig, method: str, base: str, **numbers: int
 ) -> RunConfig:
     """Configure the search of costs for a plan: all its tiles must stay.
 
     `method` is "costs", which searches the costs themselves, or "update", which searches the
-    weights of an update model; `base` names the guidance where either begins. The `numbers` are
-    evaluations, simulations and seed. Raises InputError if no fleet can work there.
+    weights of an update model. `base` names the guidance where it begins: none and crisscross are
+    known to the generator, any other is given by `start_at`. The `numbers` are evaluations,
+    simulations and seed. Raises InputError if no fleet can work there.
     """
+    named = base in get_args(Base)
+    known: Any = base if named else "none"
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, fleet.agents)
     domain = plan.fitted()
     rows = tuple(draw(domain.drivable(plan.layout).astype(np.int8), "#."))
     generators: dict[str, Any] = {
-        "costs": CostsConfig(rows, base),
-        "update": UpdateConfig(base=base),
+        "costs": CostsConfig(rows, known),
+        "update": UpdateConfig(base=known),
     }
     settings = replace(domain.config, fleet=fleet, keep=tuple(draw(plan.layout, domain.tiles)))
     generator = look_up(generators, method, "method")
@@ -58,11 +63,24 @@ def guide_config(
     axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
     return RunConfig(
         evaluation=EvaluationConfig(settings, generator, numbers["simulations"], alpha=0.0),
-        algorithm=_ALGORITHMS[method],
+        algorithm=_ALGORITHMS[method if named else "costs found"],
         evaluations=numbers["evaluations"],
         archive=tuple(axes),
         seed=numbers["seed"],
+        start="" if named else base,
     )
+
+
+def start_at(plan: Plan) -> np.ndarray:
+    """Return the solution of the generator `costs` (float [P]) that gives a plan its costs.
+
+    As any of that generator's they are within a factor of ten of their mean: dearer moves, and
+    those that are not allowed, begin there.
+    """
+    moves = existing_moves(plan.domain.drivable(plan.layout))
+    costs = np.ones(moves.shape) if plan.costs is None else plan.costs
+    usual = costs[moves & np.isfinite(costs)].mean()
+    return np.log(np.minimum(costs[moves] / usual, 10)).astype(np.float32)
 
 
 def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
