@@ -216,6 +216,17 @@ def test_a_check_remarks_on_what_is_risky_without_failing(folder, capsys):
     assert "two-way aisles" in (folder / "pocket.svg").read_text()
 
 
+def test_a_plan_without_endpoints_gets_them_beside_its_shelves(folder, capsys):
+    (folder / "racks.txt").write_text("......\n.@@@@.\n......\nw....w\n")
+    assert run(["check", "racks.txt"]) == 1
+    assert "`qdenv repair --keep @`" in capsys.readouterr().out
+    refused = refusal(["simulate", "racks.txt", "--robots", "2"], capsys)
+    assert "the layout has no endpoint: repair it with --keep @" in refused
+    assert run(["repair", "racks.txt", "--keep", "@", "--out", "served.txt"]) == 0
+    assert run(["check", "served.txt"]) == 0
+    assert "@@@@" in (folder / "served.txt").read_text()
+
+
 def test_a_layout_of_another_domain_needs_no_option(folder, capsys):
     factory = find_domain("manufacturing").resized(12, 14)
     write_layout(folder / "factory.csv", factory.human(), factory.tiles)

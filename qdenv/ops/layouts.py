@@ -115,6 +115,8 @@ def check(
     elif broken:
         if check_allowed(plan.layout, rules):
             say("(what may stand there all the same: mark it with '!' in a drawing, --keep FILE)")
+        if "e" in fitted.tiles and not (plan.layout == fitted.tiles.index("e")).any():
+            say("(no endpoint is drawn: `qdenv repair --keep @` puts them beside the shelves)")
         count = "1 rule" if len(broken) == 1 else f"{len(broken)} rules"
         say(f"{name}, {plan.whose}: {count} broken")
     else:

@@ -140,7 +140,8 @@ def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
         )
     for goal in rule.cycle:
         if not (np.asarray(goal.weight(layout)) > 0).any():
-            raise InputError(f"robots have nothing to do: the layout has no {goal.name}")
+            advice = ": repair it with --keep @" if goal.name == "endpoint" else ""
+            raise InputError(f"robots have nothing to do: the layout has no {goal.name}{advice}")
     labels, parts = ndimage.label(free)
     if parts > 1:
         smallest = 1 + np.argmin(np.bincount(labels.ravel())[1:])
