@@ -270,14 +270,14 @@ def _report(folder: Path, plan: Plan, better: Sequence[Any], config: Any) -> Non
     if not better:
         return
     from qdenv.ops.pages import report
-    from qdenv.study.improve import CROWD, SECTIONS
+    from qdenv.study.improve import JUDGES, SECTIONS
 
     fleet = config.fleet
     plans = [one.plan._replace(name=SECTIONS[one.section][0]) for one in better]
-    counts = fleet.agents, round(CROWD * fleet.agents)
-    options: Any = {"timesteps": fleet.timesteps, "planner": fleet.planner, "seeds": 5}
+    options: Any = {"timesteps": fleet.timesteps, "planner": fleet.planner, "seeds": [*JUDGES]}
+    options["stop"] = fleet.stop_when_congested
     try:
-        report([plan, *plans], counts, folder / REPORT, stop=fleet.stop_when_congested, **options)
+        report([plan, *plans], fleet.agents, folder / REPORT, **options)
     except InputError as error:  # the plans are written: a page that cannot be is no reason to fail
         say(f"{REPORT}: {error}")
 

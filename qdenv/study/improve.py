@@ -61,10 +61,9 @@ _SEARCHES: dict[str, tuple[Any, Any]] = {
     "floor": (DirectConfig(), RearrangeConfig()),
 }
 _MOST_CELLS = 100  # of an archive
-# The first of the seeds that judge. Searches draw theirs from their own keys, and costs of moves
-# are chosen with those from 1,000,000 on.
-_FRESH = 2_000_000
-_PILOTS, _JUDGES = 4, 12  # simulations that choose among candidates, and that judge the chosen
+# Seeds that choose among candidates, and those that judge the chosen. Searches draw theirs from
+# their own keys, and costs of moves are chosen with those from 1,000,000 on.
+_PILOTS, JUDGES = range(2_000_000, 2_000_004), range(2_000_004, 2_000_016)
 _CANDIDATES = 4  # layouts of a search that are looked at again: the best one was lucky, too
 
 
@@ -207,7 +206,7 @@ def map_usage(plan: Plan, fleet: FleetConfig) -> np.ndarray:
         plan.floor,
         tasks,
         fleet,
-        (_FRESH,),
+        _PILOTS[:1],
         read=lambda seed, run, recording: map_run(shape, run, recording).usage,
     )
     return done.readings[0]
@@ -259,35 +258,33 @@ def judge(
         replace(config.fleet, agents=round(share * config.fleet.agents)) for share in (1.0, CROWD)
     ]
 
-    def drive(plan: Plan, first: int, runs: int) -> np.ndarray:
-        seeds = range(_FRESH + first, _FRESH + first + runs)
+    def drive(plan: Plan, seeds: Sequence[int]) -> np.ndarray:
         return np.array([mean_throughput(plan, fleet, seeds) for fleet in fleets])
 
     chosen: dict[str, tuple[float, Plan]] = {}
     candidates = [(section, one) for section, plans in found.items() for one in plans]
     progress("judging", 0.0, plan.name)
-    hers = drive(plan, 0, _PILOTS).mean(axis=1)
+    hers = drive(plan, _PILOTS).mean(axis=1)
     for number, (section, one) in enumerate(candidates, 1):
         progress("judging", number / (len(candidates) + 1), SECTIONS[section][0])
-        gain = drive(one, 0, _PILOTS).mean(axis=1) / np.maximum(hers, 1e-9)
+        gain = drive(one, _PILOTS).mean(axis=1) / np.maximum(hers, 1e-9)
         # First of all it is no worse in the crowd; then what counts is her number of robots.
         worth = gain[0] + min(gain[1] - 1, 0)
         if section not in chosen or worth > chosen[section][0]:
             chosen[section] = worth, one
-    hers, judged = drive(plan, _PILOTS, _JUDGES), []
-    seeds, alike = range(_FRESH + _PILOTS, _FRESH + _PILOTS + _JUDGES), None
+    hers, judged, alike = drive(plan, JUDGES), [], None
     if not getattr(plan.domain.config, "demand", ".") and BY_SHELF[0] in plan.domain.counted:
         alike = with_tasks(plan, {"demand": BY_SHELF[0]})
-        usual = mean_throughput(alike, fleets[0], seeds)
+        usual = mean_throughput(alike, fleets[0], JUDGES)
     for number, (section, (_, one)) in enumerate(chosen.items()):
         progress("judging the chosen", number / len(chosen), SECTIONS[section][0])
-        ours = drive(one, _PILOTS, _JUDGES)
+        ours = drive(one, JUDGES)
         first, second = (paired_difference(*pair) for pair in zip(ours, hers, strict=True))
         by_shelf = None
         if alike is not None:
             # More endpoints near the stations shorten ways, as if people ordered other goods.
             other = one._replace(domain=alike.domain)
-            by_shelf = paired_difference(mean_throughput(other, fleets[0], seeds), usual)
+            by_shelf = paired_difference(mean_throughput(other, fleets[0], JUDGES), usual)
         moved = section == "lanes" and not np.array_equal(one.layout, plan.layout)
         rules = plan.domain.rules() if plan.domain.rules and section != "lanes" else None
         if broken := ["a rack moved"] * moved + (audit(one.layout, rules) if rules else []):
