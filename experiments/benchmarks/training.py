@@ -48,7 +48,7 @@ def pipeline(
         seed: of the search.
         json: file of the result.
     """
-    options = {"batch": batch} if batch else {}
+    options: Row = {"batch": batch} if batch else {}
     experiment = qdenv.make_experiment(preset, seed=seed, **options)
     if experiment.pipeline.pool is None:
         raise qdenv.InputError(f"nothing is repaired in {preset}: choose another preset")
