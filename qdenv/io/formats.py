@@ -21,8 +21,9 @@ class Format(NamedTuple):
     # the endings of its files, and what such a file holds beside tiles: fields of `Drawing`, keys
     # of its details
     endings: Mapping[str, tuple[str, ...]]
-    read: str = ""  # ``module:function``; "" where the format is only written
-    write: str = ""  # ``module:function``; "" where the format is only read
+    module: str  # of the two functions
+    read: str = ""  # name of a function; "" where the format is only written
+    write: str = ""  # name of another; "" where the format is only read
     beside: tuple[str, ...] = ()  # endings of files that are written beside
 
 
@@ -37,76 +38,55 @@ FORMATS: dict[str, Format] = {
     "json": Format(
         "layouts as published, with all facts",
         {".json": ("weights", *_ROBOTS, "details")},
-        f"{_LAYOUTS}:read_json_rows",
-        f"{_LAYOUTS}:write_json_rows",
+        *(_LAYOUTS, "read_json_rows", "write_json_rows"),
     ),
-    "text": Format(
-        "a drawing", {".txt": ()}, f"{_LAYOUTS}:read_text_rows", f"{_LAYOUTS}:write_text_rows"
-    ),
+    "text": Format("a drawing", {".txt": ()}, _LAYOUTS, "read_text_rows", "write_text_rows"),
     "csv": Format(
         "a table, or costs of moves",
         {".csv": ("weights",)},
-        f"{_LAYOUTS}:read_csv_rows",
-        f"{_LAYOUTS}:write_csv_rows",
+        *(_LAYOUTS, "read_csv_rows", "write_csv_rows"),
     ),
     "movingai": Format(
-        "a map of the MovingAI benchmarks",
-        {".map": ()},
-        f"{_MAPS}:read_map",
-        f"{_MAPS}:write_movingai",
+        "a map of the MovingAI benchmarks", {".map": ()}, _MAPS, "read_map", "write_movingai"
     ),
     "scen": Format(
         "starts and goals of the MovingAI benchmarks",
         {".scen": _ROBOTS},
-        f"{_MAPS}:read_scen",
-        f"{_MAPS}:write_scen",
-        (".map",),
+        *(_MAPS, "read_scen", "write_scen", (".map",)),
     ),
     "lorr": Format(
         "map or problem of the League of Robot Runners",
         {".json": (*_ROBOTS, "details"), ".map": ()},
-        f"{_MAPS}:read_lorr",
-        f"{_MAPS}:write_lorr",
-        (".map", ".agents", ".tasks"),
+        *(_MAPS, "read_lorr", "write_lorr", (".map", ".agents", ".tasks")),
     ),
     "rhcr": Format(
         "map or grid of RHCR",
         {".grid": ("weights", "starts"), ".map": ("starts", "maxtime")},
-        f"{_MAPS}:read_rhcr",
-        f"{_MAPS}:write_rhcr",
+        *(_MAPS, "read_rhcr", "write_rhcr"),
     ),
-    "pogema": Format(
-        "a map of POGEMA", {".txt": ()}, f"{_MAPS}:read_pogema", f"{_MAPS}:write_pogema"
-    ),
-    "png": Format(
-        "a picture, one pixel a cell", {".png": ()}, f"{_IMAGES}:read_png", f"{_IMAGES}:write_png"
-    ),
+    "pogema": Format("a map of POGEMA", {".txt": ()}, _MAPS, "read_pogema", "write_pogema"),
+    "png": Format("a picture, one pixel a cell", {".png": ()}, _IMAGES, "read_png", "write_png"),
     "xlsx": Format(
-        "a sheet of Excel, one tile a cell",
-        {".xlsx": ()},
-        f"{_IMAGES}:read_xlsx",
-        f"{_IMAGES}:write_xlsx",
+        "a sheet of Excel, one tile a cell", {".xlsx": ()}, _IMAGES, "read_xlsx", "write_xlsx"
     ),
     "dxf": Format(
         "a drawing of CAD, a layer for each tile",
         {".dxf": ("cell",)},
-        "qdenv.io.dxf:read_dxf",
-        "qdenv.io.dxf:write_dxf",
+        *("qdenv.io.dxf", "read_dxf", "write_dxf"),
     ),
     "lif": Format(
         "VDMA's layout interchange format",
         {".lif": _LANES, ".lif.json": _LANES, ".json": _LANES},
-        write=f"{_ROADS}:write_lif",
+        *(_ROADS, "", "write_lif"),
     ),
-    "rmf": Format("a navigation graph of Open-RMF", {".yaml": _LANES}, write=f"{_ROADS}:write_rmf"),
+    "rmf": Format("a navigation graph of Open-RMF", {".yaml": _LANES}, _ROADS, "", "write_rmf"),
     "nav2": Format(
-        "a graph of Nav2's route server", {".geojson": _LANES}, write=f"{_ROADS}:write_nav2"
+        "a graph of Nav2's route server", {".geojson": _LANES}, _ROADS, "", "write_nav2"
     ),
     "ros": Format(
         "a map of ROS",
         {".pgm": ("cell",), ".yaml": ("cell",)},
-        write=f"{_ROADS}:write_ros",
-        beside=(".yaml", ".pgm"),
+        *(_ROADS, "", "write_ros", (".yaml", ".pgm")),
     ),
 }
 ALL_ENDINGS = tuple(dict.fromkeys(ending for one in FORMATS.values() for ending in one.endings))
@@ -136,7 +116,9 @@ def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
     Without `form` the file's ending decides; JSON is the format of any other one.
     """
     name = _find(path, form, "read") or "json"
-    reader: Callable[[Path], Any] = pkgutil.resolve_name(FORMATS[name].read)
+    reader: Callable[[Path], Any] = pkgutil.resolve_name(
+        "{0.module}:{0.read}".format(FORMATS[name])
+    )
     return reader
 
 
@@ -185,7 +167,8 @@ def write_drawing(
     for cell in (*drawing.starts, *(cell for task in drawing.tasks for cell in task)):
         if not 0 <= cell < cells:
             raise InputError(f"{path}: a robot or task at cell {cell}: the last one is {cells - 1}")
-    lost = pkgutil.resolve_name(FORMATS[name].write)(path, drawing, meanings) or []
+    write = pkgutil.resolve_name("{0.module}:{0.write}".format(FORMATS[name]))
+    lost = write(path, drawing, meanings) or []
     # What the drawing has, and the file has no place for.
     holds = FORMATS[name].endings.get(_ending_of(path), ("weights", *_ROBOTS, "details"))
     parts = {
