@@ -85,21 +85,12 @@ def open_zip(path: Path | str) -> Iterator[zipfile.ZipFile]:
 
 def _check_directory(stream: BinaryIO, source: Path | str) -> None:
     """Refuse an archive whose list of members is too long: zipfile would read all of it."""
-    size = stream.seek(0, os.SEEK_END)
-    stream.seek(max(0, size - 42))
-    tail = stream.read().rjust(42, b"\0")
-    locator, end = tail[:20], tail[20:]
-    # A comment would follow: none of our archives has one, and it could hide another end.
-    whole = end.startswith(b"PK\5\6") and end.endswith(b"\0\0")
-    (directory,) = struct.unpack("<L", end[12:16])
-    if whole and locator.startswith(b"PK\6\7"):  # a long archive, whose true end comes before
-        stream.seek(min(struct.unpack("<Q", locator[8:16])[0], size))
-        long_end = stream.read(56).ljust(56, b"\0")
-        whole = long_end.startswith(b"PK\6\6")
-        (directory,) = struct.unpack("<Q", long_end[40:48])
-    if not whole:
+    # By what zipfile itself finds at the end of the file (private names, older than Python 3).
+    end = zipfile._EndRecData(stream)  # type: ignore[attr-defined]
+    # None of our archives has a comment.
+    if end is None or end[zipfile._ECD_COMMENT_SIZE]:  # type: ignore[attr-defined]
         raise damaged(source, "no archive, or its end is missing")
-    if directory > _MAX_DIRECTORY:
+    if end[zipfile._ECD_SIZE] > _MAX_DIRECTORY:  # type: ignore[attr-defined]
         raise damaged(source, "too many members")
     stream.seek(0)
 
