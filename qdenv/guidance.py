@@ -11,6 +11,7 @@ ratios count.
 from __future__ import annotations
 
 import math
+import pkgutil
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -34,18 +35,11 @@ BUCKETS = 1024  # above every whole cost of a move
 def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
     """Round costs to whole numbers, in which host and XLA agree to the bit.
 
-    Args:
-        costs: float [5, H, W], infinite for a move that is not allowed.
-        traversable: bool [H, W].
-
-    Returns:
-        int32 [5, H, W], 64 for the mean cost of a move, 1 to 1023; 0 where a move is not allowed.
-        Where the dearest would be above 1023, the mean is less, but 16 or more: of costs that are
-        cut off at one value, none is a lane any more.
-
-    Raises:
-        InputError: a cost is negative, zero or no number, a robot may not wait somewhere, or some
-            free cell cannot be reached from another.
+    `costs` (float [5, H, W]) are infinite for a move that is not allowed, `traversable` is bool
+    [H, W]. Returns int32 [5, H, W], 64 for the mean cost of a move, 1 to 1023; 0 where a move is
+    not allowed. Where the dearest would be above 1023, the mean is less, but 16 or more: of costs
+    that are cut off at one value, none is a lane any more. Raises InputError if a cost is negative,
+    zero or no number, a robot may not wait somewhere, or a free cell cannot be reached.
     """
     costs, free = np.asarray(costs, float), np.asarray(traversable, bool)
     if costs.shape != (NUM_MOVES, *free.shape):
@@ -99,14 +93,10 @@ def existing_moves(traversable: np.ndarray) -> np.ndarray:
 def preferences(costs: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Return how many times over the cheaper way between two cells is cheaper, in doublings.
 
-    Args:
-        costs: [5, H, W], of each move at each cell; zero or infinite where it is not allowed.
-        free: bool [H, W], cells that agents may drive on.
-
-    Returns:
-        float [2, H, W]: log2 of the cost back over the cost there, between each cell and the one
-        at its right, and the one below it; positive where right or down is cheaper, 0 between
-        cells where no way is.
+    `costs` ([5, H, W]) are zero or infinite where a move is not allowed, agents may drive on `free`
+    (bool [H, W]). Returns float [2, H, W]: log2 of the cost back over the cost there, between each
+    cell and the one at its right, and the one below it; positive where right or down is cheaper, 0
+    between cells where no way is.
     """
     allowed = existing_moves(free) & (costs > 0) & np.isfinite(costs)
     doublings = np.where(allowed, np.log2(np.where(allowed, costs, 1.0)), _CLOSED)
@@ -148,21 +138,10 @@ def crisscross(traversable: np.ndarray) -> np.ndarray:
     return costs
 
 
-def _traffic_flow(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
-    from qdenv.highways import traffic_flow  # imports a compiler
-
-    return traffic_flow(traversable, legs)
-
-
-def _human_cost(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
-    from qdenv.highways import human_cost  # imports a compiler
-
-    return human_cost(traversable, legs)
-
-
 GUIDANCE: dict[str, Guidance] = {
     "none": lambda traversable, legs: None,
     "crisscross": lambda traversable, legs: crisscross(traversable),
-    "traffic-flow": _traffic_flow,
-    "human-cost": _human_cost,
+    # Late: these import a compiler.
+    "traffic-flow": lambda *floor: pkgutil.resolve_name("qdenv.highways:traffic_flow")(*floor),
+    "human-cost": lambda *floor: pkgutil.resolve_name("qdenv.highways:human_cost")(*floor),
 }

@@ -65,18 +65,10 @@ def write_paths(
 ) -> None:
     """Write a run by the ending of its file: JSON for PlanViz, else CSV with a line a robot.
 
-    The lines also hold the goal that the robot heads for (goal_row, goal_column; -1 without an
-    order), and 1 under "finished" where it has just finished a task.
-
-    Args:
-        path: file to write.
-        positions: int [T + 1, A], cells (row * width + column) before each step and at the end.
-        goals: int [T + 1, A], the cells that agents head for at these times; -1 without an order.
-        finished: bool [T, A], whether the step finished the task.
-        width: columns of the layout.
-
-    Raises:
-        InputError: the place cannot be written to.
+    `positions` and `goals` (int [T + 1, A]) are cells of a layout of `width` columns, where agents
+    are before each step and at the end, and where they head for, -1 without an order; `finished`
+    (bool [T, A]) are tasks finished by the step. Lines have 1 under "finished" just after that.
+    Raises InputError if the place cannot be written to.
     """
     if path.suffix.lower() == ".json":
         text = json.dumps(planviz(positions, goals, finished, width))

@@ -230,16 +230,7 @@ class RunDirectory:
     def elite(
         self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
     ) -> Elite:
-        """Find an elite.
-
-        Args:
-            which: "best" or another name in the zoo, or a cell, "12,40" or (12, 40).
-            measures: in place of `which` a value for each measure: the elite of their cell, or else
-                the nearest one, where every axis counts as equally long.
-
-        Raises:
-            InputError: there is no such elite, or the request is malformed.
-        """
+        """Find an elite by `which`, or by `measures`, as `SavedArchive.elite` does."""
         return self.archive.elite(which, measures)
 
     def read_metrics(self, salvage: bool = False) -> list[Metrics]:

@@ -47,19 +47,9 @@ def draw_change(
 ) -> Figure:
     """Draw two layouts side by side: what was removed is framed at the left, what was placed right.
 
-    Args:
-        before: a layout of a domain, with arrows where its moves have costs.
-        after: another one of the same domain and size.
-        usages: share of time in which a robot is on each cell (`recordings.Maps.usage`, float
-            [H, W]) of both layouts, drawn below them on one colour scale.
-        names: titles of the two columns.
-        width: inches, as many as its cells need unless given.
-
-    Returns:
-        a figure that is to be cropped when it is saved.
-
-    Raises:
-        InputError: the sizes differ.
+    Arrows lie on those whose moves have costs. The `usages` of both (`recordings.Maps.usage`) are
+    drawn below them on one colour scale. The figure, as wide as its cells need unless `width`
+    inches are given, is to be cropped when it is saved. Raises InputError if the sizes differ.
     """
     rows, cols = before.layout.shape
     if after.layout.shape != (rows, cols):
@@ -90,16 +80,10 @@ def draw_change(
 
 @style.styled
 def draw_racks_moved(found: Mapping[str, tuple[Array, Array]], agents: int, plan: float) -> Figure:
-    """Draw what moving racks brings: tasks per timestep over the number of racks moved.
+    """Draw what moving racks brings: tasks per timestep over racks moved, a point a layout.
 
-    Args:
-        found: layouts of searches by the searches' names: racks moved int [N], and tasks per
-            timestep float [N].
-        agents: number of robots that the searches simulated.
-        plan: tasks per timestep of the plan itself.
-
-    Returns:
-        a figure with a point for each layout.
+    `found` holds both of the layouts of each search (int [N], float [N]), `plan` is what the plan
+    itself moves.
     """
     figure = style.new_figure(6.0, 3.0)
     axes = figure.subplots()

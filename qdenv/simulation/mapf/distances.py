@@ -74,14 +74,9 @@ def goal_costs(
 ) -> jax.Array:
     """Measure the cheapest way from every cell to every goal, by relaxation until nothing changes.
 
-    Args:
-        traversable: bool [H, W], with walls all around.
-        costs: int32 [5, H * W], the cost of each move at each cell, 0 where it is not allowed.
-        cells: int32 [G], goal cells.
-        used: bool [G], slots that hold a goal.
-
-    Returns:
-        int32 [G, H * W]; `UNREACHABLE_COST` where no way leads, and in unused slots.
+    As `goal_distances`, on a map with walls all around, but by the `costs` of each move at each
+    cell (int32 [5, H * W], 0 where it is not allowed). Returns int32 [G, H * W];
+    `UNREACHABLE_COST` where no way leads, and in unused slots.
     """
     size, free = traversable.size, traversable.reshape(-1)
     neighbour = jnp.arange(size)[None] + jnp.asarray(move_steps(traversable.shape[1]))[1:, None]
