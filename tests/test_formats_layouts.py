@@ -33,31 +33,6 @@ def test_round_trip(tmp_path):
     assert content["n_row"] == 5 and content["n_col"] == 7 and content["name"] == "mine"
 
 
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        ("", "not a JSON file"),
-        ("[1, 2", "not a JSON file"),
-        ("[" * 100_000, "not a JSON file"),
-        ('{"rows": []}', "list of strings"),
-        ('{"layout": "..."}', "list of strings"),
-        ('{"layout": [[1]]}', "list of strings"),
-        ('{"layout": []}', "empty"),
-        ('{"layout": [""]}', "empty"),
-        ('{"layout": ["..", "."]}', "row 1 of the layout has 1 tiles, row 0 has 2"),
-        ('{"layout": [".x"]}', "unknown tile 'x' at row 0, column 1"),
-        (json.dumps({"layout": ["." * (MAX_SIDE + 1)]}), "not supported"),
-        (b"\xff\xfe\x00", "not a JSON file"),
-    ],
-)
-def test_bad_files_are_refused_in_one_line(content, reason, tmp_path):
-    path = tmp_path / "bad.json"
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(InputError, match=reason) as error:
-        read_layout(path, TILES)
-    assert str(path) in str(error.value) and "\n" not in str(error.value)
-
-
 def test_missing_folder_and_huge_files(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_layout(tmp_path / "nothing.json", TILES)
@@ -188,6 +163,18 @@ def test_a_maze_drawn_with_hashes_is_one(tmp_path):
         ("a.map", "type octile\nheight 3\nwidth 2\nmap\n..\n..", "says height 3, the map has 2"),
         ("a.txt", "." * (MAX_SIDE + 1), "not supported"),
         ("a.csv", "\n".join("." * (MAX_SIDE + 1)), "not supported"),
+        ("a.json", "", "not a JSON file"),
+        ("a.json", "[1, 2", "not a JSON file"),
+        ("a.json", "[" * 100_000, "not a JSON file"),
+        ("a.json", '{"rows": []}', "list of strings"),
+        ("a.json", '{"layout": "..."}', "list of strings"),
+        ("a.json", '{"layout": [[1]]}', "list of strings"),
+        ("a.json", '{"layout": []}', "empty"),
+        ("a.json", '{"layout": [""]}', "empty"),
+        ("a.json", '{"layout": ["..", "."]}', "row 1 of the layout has 1 tiles, row 0 has 2"),
+        ("a.json", '{"layout": [".x"]}', "unknown tile 'x' at row 0, column 1"),
+        ("a.json", json.dumps({"layout": ["." * (MAX_SIDE + 1)]}), "not supported"),
+        ("a.json", b"\xff\xfe\x00", "not a JSON file"),
         ("a.json", json.dumps({"layout": [".@", ".\ud800"]}), "unknown tile"),
         ("a.json", "1" * 5000, "not a JSON file"),
         ("a.docx", "PK", r"layouts end in .json, .txt, .csv, .map"),

@@ -1,37 +1,25 @@
 """The audit: golden drawings, and agreement with a slow plain-Python oracle."""
 
 import itertools
+from functools import partial
 
 import numpy as np
 import pytest
+import small_yard
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.repairs.audit import audit
 from qdenv.repairs.rules import Facts, bound_cost, impossible
-from qdenv.types import Adjacency, Count, Rules
+from qdenv.types import Rules
 
 TILES = ".@ew"
+yard = partial(small_yard.yard, tiles=TILES)
 
 
 def shelved(shelves: int) -> Rules:
     """The even warehouse of size S with another number of shelves."""
     return find_domain("warehouse-even").resized(33, 36, {"shelves": shelves}).rules()
-
-
-def yard(rows: int, cols: int, low: int, high: int | None, **changes) -> Rules:
-    """A warehouse without a frame."""
-    allowed = np.ones((rows, cols, 4), bool)
-    allowed[..., 3] = False
-    rules = Rules(
-        tiles=TILES,
-        counts=(Count("@", low, high),),
-        adjacency=(Adjacency("@", "e"), Adjacency("e", "@")),
-        connected=".ew",
-        allowed=allowed,
-        change_cost=np.ones((rows, cols)),
-    )
-    return rules._replace(**changes)
 
 
 def broken(drawing: list[str], rules: Rules) -> list[tuple[str, tuple[int, int]]]:
