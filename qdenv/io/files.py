@@ -34,7 +34,7 @@ RUN_FILES = (
     *("curve.jsonl", "agent.npz", "agents"),
 )
 MEGABYTE = 2**20
-MAX_TEXT = 64 * MEGABYTE  # bytes of a text file
+_MAX_TEXT = 64 * MEGABYTE  # bytes of a text file
 _UTF_16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _UMASK = os.umask(0)  # it can only be read by setting it
 os.umask(_UMASK)
@@ -249,7 +249,7 @@ def parsing(path: Path, what: str) -> Iterator[None]:
         raise damaged(path, f"not {what}: {error}") from error
 
 
-def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
+def read_bytes(path: Path | str, max_bytes: int = _MAX_TEXT) -> bytes:
     """Read a file, or what a pipe gives; raise InputError if it cannot be read, or is bigger."""
     try:
         with open(path, "rb") as file:
@@ -262,7 +262,7 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_TEXT) -> bytes:
     return content
 
 
-def read_text(path: Path | str, max_bytes: int = MAX_TEXT, what: str = "text") -> str:
+def read_text(path: Path | str, max_bytes: int = _MAX_TEXT, what: str = "text") -> str:
     """Read a text file, or what a pipe gives, as UTF-8 or the UTF-16 of Windows' shell.
 
     Raises InputError, which calls it a `what` file, if it cannot be read, is bigger, or is no text.

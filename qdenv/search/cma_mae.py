@@ -230,10 +230,10 @@ def make_emitters(config: CmaMaeConfig, start: jax.Array) -> Emitters:
         )
         return EmittersState(states, keys, iterations, state.restarts + again)
 
-    return make_groups(Emitters(init, ask, tell), config.ahead + 1)
+    return _make_groups(Emitters(init, ask, tell), config.ahead + 1)
 
 
-def make_groups(emitters: Emitters, groups: int) -> Emitters:
+def _make_groups(emitters: Emitters, groups: int) -> Emitters:
     """Join G groups of the same emitters; population i is of group i mod G.
 
     A group draws again only after its last population was scored, so each adapts to its own

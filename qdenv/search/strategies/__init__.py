@@ -18,8 +18,8 @@ from qdenv.search.settings import check_strategy
 from qdenv.search.strategies.cma_es import Full, Isotropic, LimitedMemory, Separable
 from qdenv.types import InputError, look_up
 
-MIRRORED = ("CR_FM_NES", "Open_ES", "PGPE")  # draw every solution together with its mirror image
-ADAM_RATE = 0.1  # in initial step sizes; with evosax' own optimizers these do not move
+_MIRRORED = ("CR_FM_NES", "Open_ES", "PGPE")  # draw every solution together with its mirror image
+_ADAM_RATE = 0.1  # in initial step sizes; with evosax' own optimizers these do not move
 
 # Each is called with (population_size=b, solution=float [P]), like every evosax algorithm over a
 # distribution.
@@ -45,11 +45,11 @@ def make_strategy(name: str, dim: int, batch: int, sigma0: float) -> tuple[Any, 
     """
     check_strategy(name)
     make = look_up(STRATEGIES, name, "strategy")
-    if name in MIRRORED and batch % 2:
+    if name in _MIRRORED and batch % 2:
         raise InputError(f"the strategy {name} needs an even batch, not {batch}")
     settings: dict[str, Any] = {}
     if name in ("Open_ES", "PGPE"):
-        settings["optimizer"] = optax.adam(ADAM_RATE * sigma0)
+        settings["optimizer"] = optax.adam(_ADAM_RATE * sigma0)
     if name == "Open_ES":
         settings["std_schedule"] = optax.constant_schedule(sigma0)
     strategy = make(population_size=batch, solution=jnp.zeros(dim), **settings)
