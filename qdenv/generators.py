@@ -65,8 +65,8 @@ class NcaConfig(Ranged):
     steps: PositiveInt = 50  # steps of growth of a drawing, C in the paper
     kernel_sizes: tuple[int, ...] = (3, 3, 3)  # widths of the kernels of its convolutions, in cells
     hidden: PositiveInt = 32  # channels of its hidden layers
-    # "exact" draws the same plan on every machine and version: its sums never round (`nca`);
-    # "float" is the paper's, and that of runs saved before there was a choice
+    # "exact" draws the same plan on every machine and version, as its sums never round (`nca`);
+    # "float" is the paper's, and that of runs from before there was a choice
     arithmetic: Literal["exact", "float"] = "exact"
 
     def __post_init__(self) -> None:

@@ -18,5 +18,5 @@ class EvaluationConfig(Ranged):
     # settings of a registered generator, likewise
     generator: Any = field(default_factory=lambda: GENERATORS.config("nca"))
     simulations: PositiveInt = 5  # simulations of each layout, N_e in the paper
-    alpha: FiniteFloat = 5.0  # how much it counts that the repair changes little
+    alpha: FiniteFloat = 5.0  # weight of the similarity of drawn and repaired layout
     repair: RepairConfig = field(default_factory=RepairConfig)  # limits of the repair

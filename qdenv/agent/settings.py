@@ -45,8 +45,8 @@ class PPOConfig(Ranged):
 class RewardConfig(Ranged):
     """What is rewarded beside the goal."""
 
-    novelty: FiniteFloat = 0.01  # the first visit of a tile in an episode
-    progress: FiniteFloat = 0.0  # each move nearer to the goal (potential-based)
+    novelty: FiniteFloat = 0.01  # reward of the first visit of a tile in an episode
+    progress: FiniteFloat = 0.0  # reward of each move nearer to the goal (potential-based)
     haste: Share = 0.9  # share of the goal's reward that is lost by the horizon
 
 
@@ -55,14 +55,14 @@ class LevelConfig(Ranged):
     """What levels look like."""
 
     size: Annotated[int, Interval(ge=2, le=_LARGEST_SIDE)] = 16  # rows and columns of the largest
-    # rows and columns of the smallest; all are of one size unless given
+    # rows and columns of the smallest; by default all levels have one size
     smallest: NonNegativeInt = 0
-    # walls of the largest are drawn from 0 to this; smaller ones have fewer in proportion to their
-    # area
+    # the largest has 0 to this many walls, drawn at random; smaller ones have fewer, in proportion
+    # to their area
     most_walls: NonNegativeInt = 110
     textured: Share = 0.25  # share of levels with a repeated pattern instead of independent walls
-    longest: Share = 0.5  # share of levels with the longest-path pair
-    # shortest and longest horizon of the largest; in proportion to the area
+    longest: Share = 0.5  # share of levels with start and goal farthest apart
+    # shortest and longest horizon of the largest; of others in proportion to their area
     horizon: tuple[PositiveInt, PositiveInt] = (250, 648)
     edits: NonNegativeInt = 5  # tiles flipped when a level is varied (ACCEL)
 
@@ -82,13 +82,13 @@ class TrainConfig(Ranged):
     method: Method = "dr"  # "dr" (domain randomisation), "plr" (robust PLR) or "accel"
     # environment steps to learn from, in all
     steps: Annotated[int, Interval(ge=1, lt=2**63)] = 80_000_000
-    seed: Seed = 0  # of everything
+    seed: Seed = 0  # random seed of everything
     units: PositiveInt = 64  # LSTM units of the agent
     # 3 (turn left, turn right, forward) or 7 (the published set, 4 do nothing)
     actions: Annotated[int, Interval(ge=3, le=MOST)] = 3
     warm_start: str = ""  # an .npz agent to start from; "" for fresh weights
-    # weight of the divergence from the policy of the warm start, which keeps what it knows; 0 lets
-    # it go
+    # weight of the divergence from the policy of the warm start, so that the agent keeps what it
+    # knows; 0 for none
     anchor: NonNegativeFloat = 0.0
     bank: PositiveInt = 4096  # levels C of the buffer under replay
     fresh: PositiveInt = 64  # new levels per update
@@ -98,8 +98,8 @@ class TrainConfig(Ranged):
     # halfway there
     novelty_until: PositiveFloat = 1.0
     exam: PositiveInt = 32  # held-out mazes of each kind, played for every line of the log
-    # agents, those of the last lines of the log, whose mean weights are the agent that is kept,
-    # unless the last alone does better in the exam
+    # number of agents, of the last lines of the log, whose mean weights make the final agent,
+    # unless the last one alone does better in the exam
     average: PositiveInt = 8
     ppo: PPOConfig = field(default_factory=PPOConfig)  # numbers of the algorithm
     reward: RewardConfig = field(default_factory=RewardConfig)  # what is rewarded beside the goal

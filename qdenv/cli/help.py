@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import re
@@ -11,6 +12,7 @@ import textwrap
 from collections.abc import Iterator
 
 ALL = "--help-all"
+_wrap = functools.partial(textwrap.fill, break_on_hyphens=False)  # names stay whole
 _LEFT = 26  # characters of the column of options
 # What the short help leaves out, beside the settings of planners: each has a default that suits.
 _RARE = re.compile(
@@ -102,13 +104,13 @@ def _fill(text: str, names: str) -> str:
     """Wrap text to the terminal, beside the names of an option, or below them if these are long."""
     width = min(shutil.get_terminal_size().columns, 100)
     if not names:
-        return textwrap.fill(" ".join(text.split()), width)
+        return _wrap(" ".join(text.split()), width)
     indent = " " * (_LEFT + 2)
     if len(names) > _LEFT - 2 or not text:
         if len(names) > width - 4:
             names = names.replace(",", ", ")
-        above = textwrap.fill(names, width, initial_indent="  ", subsequent_indent="      ")
-        below = textwrap.fill(text, width, initial_indent=indent, subsequent_indent=indent)
+        above = _wrap(names, width, initial_indent="  ", subsequent_indent="      ")
+        below = _wrap(text, width, initial_indent=indent, subsequent_indent=indent)
         return f"{above}\n{below}" if text else above
     first = f"  {names:{_LEFT}}"
-    return textwrap.fill(text, width, initial_indent=first, subsequent_indent=indent)
+    return _wrap(text, width, initial_indent=first, subsequent_indent=indent)

@@ -26,7 +26,7 @@ from qdenv.types import InputError
 
 MARKERS = (tyro.conf.AvoidSubcommands,)
 SPEC = "COMPLETION_SPEC = "  # begins the line of tyro's completion script with all options
-_JSON = tyro.conf.arg(metavar="FILE", help="file of the facts to write; - is standard output")
+_JSON = tyro.conf.arg(metavar="FILE", help="file to write the facts to; - is standard output")
 
 
 def parse(

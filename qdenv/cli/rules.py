@@ -84,7 +84,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             planner = (
                 "planner",
                 _name(PLANNERS, settings),
-                "who plans; --help-all lists its settings",
+                "planner of the paths; --help-all lists its settings",
             )
             spec = _options([planner, *_settings(settings, _PLANNER)])
             # A name and what is stated, as `Fleet` takes them.
@@ -211,17 +211,17 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     if (planner := configs.planner_of(config)) is not None:
         _check_planner_options(rest, planner)
     check_strategy(chosen.strategy or "")  # the parser would not say why
-    effort = "of the negotiated planner: low inside a search, high for numbers to report"
-    about = "in place of the preset's domain, at its size"
+    effort = "effort of the negotiated planner: low for a search, high for numbers to report"
+    about = "replaces the preset's domain, at the same size"
     listed = [
         ("domain", _name(DOMAINS, config.evaluation.domain), about),
         ("effort", Literal["low", "high"], effort),
-        ("planner", _name(PLANNERS, planner), "with its defaults, which --help-all lists"),
-        ("algorithm", _name(ALGORITHMS, config.algorithm), "with its defaults"),
+        ("planner", _name(PLANNERS, planner), "planner, with its defaults, which --help-all lists"),
+        ("algorithm", _name(ALGORITHMS, config.algorithm), "algorithm, with its defaults"),
         (
             "generator",
             _name(GENERATORS, config.evaluation.generator),
-            "guided-nca draws costs, too",
+            "generator; guided-nca also draws costs of moves",
         ),
         # `Execution` has the number of workers, too.
         *(
@@ -261,7 +261,7 @@ def _demand(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
     """Make the option for where goals are, if a domain has it: files and zones become its map."""
     if "demand" in domain.task_settings:
         about = "how likely each place is a goal: a CSV file, goals of a .scen, zones as 0:9,0:20=3"
-        about += '; "shelves" for all shelves alike' if "shelves" in domain.counted else ""
+        about += '; "shelves": all shelves equally likely' if "shelves" in domain.counted else ""
         yield "demand", Annotated[str, arg(metavar="FILE|ZONES")], about
 
 

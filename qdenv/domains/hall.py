@@ -42,13 +42,13 @@ class BuiltConfig(DomainConfig):
     """What a hall that is to be built demands beside its numbers of tiles."""
 
     aisle: PositiveInt = 1  # least width of aisles in cells
-    # rows and columns of the smallest rack, as 2x6, along either axis; any shape where empty
+    # rows and columns of the smallest rack, as 2x6, along either axis; by default any shape
     rack: str = ""
-    # most rows, and columns, in succession that hold shelves: then comes a straight aisle; any
-    # number where 0
+    # most successive rows, or columns, that hold shelves, before a straight aisle must come; 0 for
+    # any number
     cross_aisle: NonNegativeInt = 0
     # whether each rack has an aisle on both sides: every shelf lies in a straight run of one or two
-    # with floor at both ends
+    # shelves with floor at both ends
     both_sides: bool = False
 
 
@@ -60,12 +60,12 @@ class HallConfig(BuiltConfig):
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     # number of shelves, at least; for a plan also a range like 1000:1200
     shelves: NonNegativeInt = 240
-    spare_shelves: NonNegativeInt = 0  # how many more there may be; exactly as many unless given
+    spare_shelves: NonNegativeInt = 0  # how many more there may be; by default none
     pick: Stay = 0  # timesteps that a robot stays at an endpoint
-    drop: str = "0"  # timesteps at a station: 5 for all, or by their signs, as w=5,i=20
-    # shares of the tasks by the signs of stations, as i=1,o=3; all stations are alike where empty
+    drop: str = "0"  # timesteps at a station: 5 for all, or by symbol, as w=5,i=20
+    # shares of the tasks by the symbol of stations, as i=1,o=3; by default all stations are alike
     shares: str = ""
-    # tasks that arrive per timestep, two to an order; they never run out where it is 0
+    # tasks that arrive per timestep, two to an order; with 0 they never run out
     task_rate: TaskRate = 0.0
     # No option of its own: a file or zones become this map.
     # rows of numbers, one a cell: how likely an endpoint there is drawn as a goal. They belong to

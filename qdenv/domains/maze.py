@@ -39,7 +39,7 @@ class MazeConfig(DomainConfig):
     rows: int = 18  # rows of the maze with its ring of walls
     cols: int = 18  # columns of the maze with its ring of walls
     timesteps: PositiveInt = 648  # actions after which an episode fails, T
-    agent: str = ""  # an .npz agent; the shipped one unless given
+    agent: str = ""  # an .npz agent; by default the shipped one
 
     def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
         """Scale the length of an episode, or take the known one."""

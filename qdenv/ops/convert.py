@@ -32,16 +32,16 @@ def convert(
     guidance: args.Guidance = None,
     cell: PositiveFloat | None = None,
 ) -> Result:
-    """Write a layout in another format; what that format cannot hold is named.
+    """Write a layout in another format, and name what that format cannot hold.
 
     Args:
         layout: layout file.
-        target: file to write; its ending says in which format.
-        format: of the file to write, where several have its ending.
-        input_format: of the layout file, where several have its ending.
-        domain: whose layout; what the file says, or its tiles tell, unless given.
-        guidance: costs of moves: a name or a file; what the layout file holds unless given.
-        cell: length of a cell's side in metres; what the layout file says, or 1, unless given.
+        target: file to write; its ending chooses the format.
+        format: format of the file to write, if its ending has several.
+        input_format: format of the layout file, if its ending has several.
+        domain: domain of the layout; by default what the file states, or its tiles suggest.
+        guidance: costs of moves, a name or a file; by default those in the layout file.
+        cell: length of a cell's side in metres; by default what the layout file states, or 1.
 
     Returns:
         format, and what was left out in reading and in writing.

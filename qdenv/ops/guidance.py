@@ -43,19 +43,19 @@ def guide(
     execution: Annotated[Execution, arg(name="")] = Execution(),  # noqa: B008 (frozen)
     **search: Unpack[args.GuideOptions],
 ) -> Table:
-    """Find costs of moves by which a fleet moves more on a floor that stays as it is.
+    """Find costs of moves with which a fleet finishes more tasks on an unchanged floor.
 
     The run's folder gets the costs (guidance.json, for --guidance), a picture of them, and a table
-    of the throughput before and after over numbers of agents. A search begins at the costs of
-    --guidance, crisscross unless given, and goes on from those of another search.
+    of the throughput before and after, for several numbers of agents. The search begins at the
+    costs of --guidance, by default crisscross; with those of another search it continues that one.
 
     Args:
         layout: layout file.
-        agents: number of agents (robots); unless given that of the plan or its size, else 200.
+        agents: number of agents (robots); by default that of the plan or its size, else 200.
         method: search the costs themselves, or the weights of a network that updates costs by
-            where agents drive and also serves other floors and sizes.
-        model: run of the method update, whose network draws the costs; nothing is searched then.
-        path: folder of the run; a fresh one under runs/ unless given.
+            where agents drive and also works on other floors and sizes.
+        model: run of the method update, whose network draws the costs, without a search.
+        path: folder of the run; by default a new one under runs/.
         progress: show a progress bar.
         execution: where simulations run; the result is the same everywhere.
         **search: see `GuideOptions`.

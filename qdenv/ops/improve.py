@@ -60,21 +60,21 @@ def improve(
     keep: args.KeepCells = None,
     **search: Unpack[args.ImproveOptions],
 ) -> Table:
-    """Search a better plan than one's own: lanes, some racks moved, racks in rows, a new floor.
+    """Search for a better plan than your own: lanes, some racks moved, racks in rows, a new floor.
 
-    The folder gets the four searches, a report, a picture of what moving more racks brings, and for
-    each search that found a better plan (by its 95 % intervals, at this number of robots and at a
-    quarter more) that plan and a picture of before and after. The same command, or `qdenv resume`,
+    The folder gets the four searches, a report, and a picture of what moving more racks brings. For
+    each plan that is better (by its 95 % intervals, at this number of robots and at a quarter more)
+    it gets the plan and a picture of before and after. The same command, or `qdenv resume`,
     continues where it stopped.
 
     Args:
         layout: layout file.
-        agents: number of agents (robots); unless given that of the plan or its size, else 200.
-        path: folder of the results; runs/improve-NAME-AGENTS unless given.
+        agents: number of agents (robots); by default that of the plan or its size, else 200.
+        path: results folder; by default runs/improve-NAME-AGENTS.
         progress: show a progress bar.
         execution: where the searches simulate; the result is the same everywhere.
-        keep: what must stay in addition to walls and stations: tiles, a rectangle of rows and
-            columns, the last not included (0:7,33:40), or the file of a drawing; + joins several.
+        keep: what must stay besides walls and stations: tiles, a rectangle of rows and columns, the
+            last ones not included (0:7,33:40), or a drawing; + joins several.
         **search: see `ImproveOptions`.
 
     Returns:

@@ -41,8 +41,8 @@ def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = 
 
     Args:
         layout: layout file.
-        out: picture to write; named after the layout file unless given.
-        domain: whose layout; what the file says, or its tiles tell, unless given.
+        out: picture to write; by default named after the layout file.
+        domain: domain of the layout; by default what the file states, or its tiles suggest.
 
     Returns:
         the layout, which a notebook shows; no picture is written unless `out` is given.
@@ -77,19 +77,19 @@ def check(
     plot: args.Picture = None,
     **numbers: args.Number,
 ) -> Table:
-    """Check a layout: exit code 0 or 1 by its domain's rules, and remarks on what is risky.
+    """Check a layout against the rules of its domain (exit code 0 or 1), and remark on risks.
 
-    Remarks break no rule: dead-end aisles, cells whose loss cuts the hall in two, two-way aisles
-    one robot wide, stations with one access.
+    Remarks are about what breaks no rule: dead-end aisles, cells whose loss cuts the hall in two,
+    two-way aisles one robot wide, stations with a single access.
 
     Args:
         layout: layout file.
-        domain: whose rules; what the file says, or its tiles tell, unless given.
-        keep: cells that are meant to be as they are: tiles (w), a rectangle of rows and columns,
-            the last not included (0:7,33:40), or a drawing with ! or a tile there and ? elsewhere;
-            + joins several.
-        plot: picture of the cells in question to write.
-        **numbers: exact numbers of tiles to demand; not checked unless given.
+        domain: domain whose rules hold; by default what the file states, or its tiles suggest.
+        keep: cells that must be as they are: tiles (w), a rectangle of rows and columns, the last
+            ones not included (0:7,33:40), or a drawing with ! or a tile there and ? elsewhere; +
+            joins several.
+        plot: picture to write, of the cells in question.
+        **numbers: exact numbers of tiles to demand; by default not checked.
 
     Returns:
         a `Broken` for each broken rule, which names a cell; empty where the layout obeys them all.
@@ -154,14 +154,14 @@ def repair(
 
     Args:
         layout: layout file.
-        domain: whose rules; what the file says, or its tiles tell, unless given.
-        keep: what must stay: tiles (w), a rectangle of rows and columns, the last not included
+        domain: domain whose rules hold; by default what the file states, or its tiles suggest.
+        keep: what must stay: tiles (w), a rectangle of rows and columns, the last ones not included
             (0:7,33:40), or a drawing where ? may change and ! or a tile stays; + joins several.
         seed: other seeds may give other, equally good layouts.
         polish: how hard to try after the first feasible layout.
-        out: layout file to write (.json, .txt, .csv); LAYOUT_repaired.json unless given.
-        plot: picture of what changed to write.
-        **numbers: exact numbers of tiles; as many as the layout has unless given.
+        out: layout file to write (.json, .txt, .csv); by default LAYOUT_repaired.json.
+        plot: picture to write, of what changed.
+        **numbers: exact numbers of tiles; by default as many as the layout has.
 
     Returns:
         the repaired layout, with status, cost and lower bound among its facts.
@@ -242,9 +242,9 @@ def layout_human(
     Args:
         rows: rows of the layout, frame included.
         cols: columns of the layout, frame included.
-        domain: whose layouts.
-        out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
-            unless given.
+        domain: domain of the layout.
+        out: layout file to write (.json, .txt, .csv), with a picture beside it; by default
+            layout.json.
 
     Raises:
         InputError: the size is impossible, or the domain has no such design.
@@ -281,18 +281,18 @@ def layout_tile(
     out: args.Out = None,
     **numbers: args.Number,
 ) -> Layout:
-    """Repeat a small layout until it fills a larger one, and repair that (section E.4).
+    """Repeat a small layout until it fills a larger one, and repair the result (section E.4).
 
     Args:
         layout: layout file to repeat.
         rows: rows of the larger layout, frame included.
         cols: columns of the larger layout, frame included.
-        domain: whose layouts; what the file says, or its tiles tell, unless given.
+        domain: domain of the layouts; by default what the file states, or its tiles suggest.
         seed: other seeds give other, equally good repairs.
         polish: how hard to repair.
-        out: layout file to write (.json, .txt, .csv), a picture is drawn beside it;
-            LAYOUT_tiled.json unless given.
-        **numbers: exact numbers of tiles; unless given those known for the size, or else scaled
+        out: layout file to write (.json, .txt, .csv), with a picture beside it; by default
+            LAYOUT_tiled.json.
+        **numbers: exact numbers of tiles; by default those known for the size, or else scaled
             with the area.
 
     Returns:
@@ -326,7 +326,7 @@ def layout_symbols(domain: args.DomainName = None) -> None:
     """List the symbols of layout files: what each means in each domain.
 
     Args:
-        domain: only this one.
+        domain: the only domain to list.
 
     Examples:
         ``qdenv layout symbols --domain hall``
@@ -369,7 +369,7 @@ def make_environment(
         agents: number of robots.
         timesteps: number of steps until `Timestep.last`.
         domain: whose tasks they do.
-        observe: traceable function of the state; positions, goals and services unless given.
+        observe: traceable function of the state; by default positions, goals and services.
         auto_reset: the step that ends a run begins the next one on the same layout.
 
     Returns:

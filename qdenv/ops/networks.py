@@ -45,9 +45,9 @@ def train_agent(
     Args:
         config: the run.
         path: folder of the run: log, checkpoint, agent.npz, and the agents it averages in agents/.
-        resume: go on from the folder's checkpoint; `qdenv resume FOLDER` does the same.
+        resume: continue from the folder's checkpoint; `qdenv resume FOLDER` does the same.
         report_every: updates between two lines of the log.
-        cpu_seconds: stop after about as many CPU seconds, ready to be resumed.
+        cpu_seconds: stop after about this many CPU seconds, ready to be resumed.
 
     Returns:
         the agent's file.
@@ -95,9 +95,9 @@ def train_agent(
 class EpisodeOptions(Ranged):
     """The agent, and how often and how long it walks through a maze."""
 
-    agent: str = ""  # an agent.npz; the shipped one unless given
+    agent: str = ""  # an agent.npz; by default the shipped one
     runs: Annotated[int, Interval(ge=1, le=1_000_000)] = 100  # independent episodes, in each maze
-    # most actions per episode; twice the tiles of the ringed maze unless given
+    # most actions per episode; by default twice the tiles of the maze with its ring
     timesteps: Annotated[PositiveInt | None, arg(aliases=("--horizon",))] = None
     seed: Seed = 0  # seed of headings, actions and random mazes
     reference_batching: bool = False  # repeat the published evaluation's two quirks, for comparison
@@ -117,9 +117,9 @@ def evaluate_agent(
         episodes: the agent, how often and how long it walks.
         random_mazes: also solve this many random mazes with as many walls and a path length within
             0.8 to 1.2 of this one's.
-        out: table of the random mazes (.csv), their layout files in a folder and a picture of them
-            beside it; LAYOUT_random.csv unless given.
-        gif: draw one episode.
+        out: table of the random mazes (.csv), with a folder of their layout files and a picture of
+            them beside it; by default LAYOUT_random.csv.
+        gif: film of one episode to draw.
 
     Returns:
         ``rate`` with its 95 % interval ``low`` to ``high``, ``mean_length`` in actions,
@@ -221,11 +221,11 @@ def _report_random(
 
 
 def convert_agent(checkpoint: Positional[Path], out: args.Out = None) -> Path:
-    """Convert the published agent's checkpoint (model_20000.tar) into an agent of ours.
+    """Convert the published agent's checkpoint (model_20000.tar) into a qdenv agent.
 
     Args:
         checkpoint: your copy of the file; read without PyTorch, nothing in it is executed.
-        out: the agent to write; agent.npz unless given.
+        out: the agent to write; by default agent.npz.
 
     Returns:
         the agent's file.
@@ -255,18 +255,18 @@ def surrogate(
     size: Literal["small", "published"] = "small",
     **settings: Annotated[Any, args.Mark.SURROGATE],
 ) -> Result:
-    """Predict a run's elites by a surrogate: how well it foretells throughput and measures.
+    """Measure how well a surrogate predicts throughput and measures of a run's elites.
 
     The surrogate is DSAGE's. It learns from four fifths of the elites and predicts the others:
     the repaired layout from the drawn one, then throughput and measures. How much each cell is
-    used is left out, as no archive has it.
+    used is not predicted, as no archive has it.
 
     Args:
         run: folder of the run; its archive needs 50 elites or more.
         seeds: 3 for three random splits, seeds 0 to 2; 3,5,9 for these three; 7, for this one.
-        out: CSV file to write, a line for each elite held out; RUN_surrogate.csv unless given.
-        plot: picture to write, predicted over true; beside the table unless given.
-        size: small suits a CPU, published is the paper's, for a GPU; settings replace its numbers.
+        out: CSV file to write, a line for each elite held out; by default RUN_surrogate.csv.
+        plot: picture to write, predicted over true; by default beside the table.
+        size: small suits a CPU, published is the paper's, for a GPU; options replace its numbers.
         **settings: channels, blocks, epochs, minibatch and rate, see `SurrogateConfig`.
 
     Returns:

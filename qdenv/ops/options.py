@@ -124,12 +124,13 @@ Guidance: TypeAlias = Annotated[Any, option("FILE|NAME", str)]
 class RunOptions(TypedDict, total=False):
     """One run of a fleet."""
 
-    domain: DomainName  # whose tasks the agents do; that of the layout file unless given
-    # number of timesteps; unless given 1000, or the number known for the layout's size
+    domain: DomainName  # domain of the agents' tasks; by default that of the layout
+    # number of timesteps; by default 1000, or the number known for the layout's size
     timesteps: PositiveInt | None
-    # of the negotiated planner: low for a quick look, high (the default) for numbers to report
+    # effort of the negotiated planner: low for a quick look, high (the default) for numbers to
+    # report
     effort: Annotated[str | None, arg(metavar="{low,high}")]
-    # who plans, --help-all lists its settings: a registered name or settings, like `PbsConfig()`;
+    # planner of the paths, by its registered name or its settings, like `PbsConfig()`;
     # `compare` takes a list of them
     planner: Annotated[Any, arg(name="", constructor=PlannerOptions)]
     # what robots do at their goals, in place of what the plan says: settings of its domain by name,
@@ -137,8 +138,8 @@ class RunOptions(TypedDict, total=False):
     tasks: Annotated[dict[str, Any], arg(name="", constructor=TaskOptions)]
     # end a run at its first congested window, as the paper does; --no-stop continues
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
-    # costs of moves: none, crisscross, traffic-flow, human-cost, or a file; what the layout file
-    # holds unless given
+    # costs of moves: none, crisscross, traffic-flow, human-cost, or a file; by default those in the
+    # layout file
     guidance: Guidance
 
 
@@ -147,41 +148,41 @@ class FleetOptions(RunOptions, total=False):
 
     # 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one
     seeds: Annotated[Seeds, arg(help_behavior_hint="(default: 10)")]
-    seconds_per_step: PositiveFloat | None  # length of a timestep, to report tasks per hour, too
+    seconds_per_step: PositiveFloat | None  # length of a timestep, to report tasks per hour as well
 
 
 class StudyOptions(FleetOptions, total=False):
     """Runs of several fleets (`FleetOptions`), a table of them and a picture."""
 
-    # CSV file to write; named after the command, or for sweeps the layout, unless given
+    # CSV file to write; by default named after the command, or for sweeps after the layout
     out: Out
-    plot: Picture  # picture to write; beside the table unless given
-    width: Width  # width of the picture in inches; what suits it unless given
+    plot: Picture  # picture to write; by default beside the table
+    width: Width  # width of the picture in inches; by default what suits it
 
 
 class GuideOptions(RunOptions, total=False):
     """A search of costs, with runs as `RunOptions` says; by PIBT unless a planner is named."""
 
-    # number of costs to try, rounded up to whole iterations; 2000 unless given
+    # number of costs of moves to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt
-    minutes: PositiveFloat | None  # pause after as many minutes; `qdenv resume` continues
-    simulations: PositiveInt  # number for each costs, with fresh seeds; 1 unless given
-    seed: NonNegativeInt  # seed of the search; 0 unless given
+    minutes: PositiveFloat | None  # pause after this many minutes; `qdenv resume` continues
+    simulations: PositiveInt  # simulations of each try, with fresh seeds; by default 1
+    seed: NonNegativeInt  # seed of the search; by default 0
 
 
 class ImproveOptions(RunOptions, total=False):
     """A search of better plans, with runs as `RunOptions` says."""
 
-    moves: PositiveInt  # most racks that "some racks" moves; else 20
-    shelves: Range  # how many there are to be, as 1100 or 1000:1200; else as in the plan
-    aisle: PositiveInt  # least width of aisles in cells, else the plan's
-    rack: str  # shape of the smallest rack, as 2x6, else the plan's
-    # most rows, and columns, with shelves between two straight aisles, else the plan's
+    moves: PositiveInt  # most racks that the search of some racks moves; by default 20
+    shelves: Range  # number of shelves, as 1100 or 1000:1200; else the plan's
+    aisle: PositiveInt  # least width of aisles in cells; else the plan's
+    rack: str  # shape of the smallest rack, as 2x6; else the plan's
+    # most rows or columns with shelves between two straight aisles; else the plan's
     cross_aisle: NonNegativeInt
-    both_sides: bool  # whether racks have an aisle on both sides, else as the plan says
-    minutes: PositiveFloat | None  # for all searches; 10 unless evaluations are given
+    both_sides: bool  # whether racks have an aisle on both sides; else the plan's
+    minutes: PositiveFloat | None  # for all searches; by default 10, unless evaluations are given
     evaluations: PositiveInt | None  # number of floors, or costs of moves, that each search tries
-    seed: NonNegativeInt  # seed of the searches; 0 unless given
+    seed: NonNegativeInt  # seed of the searches; by default 0
 
 
 class Fleet:

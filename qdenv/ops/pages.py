@@ -42,7 +42,7 @@ class FilmOptions(Ranged):
     gif: args.Picture = None  # draw an animated GIF
     mp4: args.Picture = None  # draw a film
     first: NonNegativeInt = 0  # timestep at which films begin
-    # timestep at which films end; unless given the end of the run, or in a GIF of robots 100
+    # timestep at which films end; by default the end of the run, but in a GIF of robots 100
     # timesteps after the first
     last: PositiveInt | None = None
 
@@ -69,14 +69,14 @@ def replay(
     out: args.Out = None,
     **fleet: Unpack[args.RunOptions],
 ) -> Page:
-    """Replay one run in a browser: robots, goals, jams, tile usage; in a maze, the agent's way.
+    """Replay one run in a browser: robots, goals, jams, tile usage; in a maze, the agent's path.
 
     Args:
         layout: layout file.
-        agents: number of agents (robots); unless given that of the plan or its size, else 200.
+        agents: number of agents (robots); by default that of the plan or its size, else 200.
         seed: seed of the run.
         films: beside the page.
-        out: page to write (.html), one file that needs no network; LAYOUT_replay.html unless given.
+        out: page to write (.html), one file that needs no network; by default LAYOUT_replay.html.
         **fleet: see `RunOptions`.
 
     Returns:
@@ -185,15 +185,15 @@ def _replay_episode(
 
 
 def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out = None) -> Page:
-    """Make a page on which a run's archive can be touched: layouts, numbers, growth.
+    """Make a page on which to explore a run's archive: layouts, numbers, growth.
 
-    One file that opens in a browser, from disk, without a network.
+    The page is one file, which a browser opens from disk, without a network.
 
     Args:
         run: folder of the run.
-        growth: number of elites that the page shows growing, the best among them; as many as fit
-            into 12 MB unless given.
-        out: page to write; explorer.html unless given.
+        growth: number of elites whose growth the page shows, the best among them; by default as
+            many as fit into 12 MB.
+        out: page to write; by default explorer.html.
 
     Returns:
         the page, with the numbers of elites among its facts.
@@ -224,17 +224,17 @@ def report(
     again: Suppress[str] = "",
     **fleet: Unpack[args.FleetOptions],
 ) -> Page:
-    """Make a page to send or print: which floor plan moves more, where robots wait, how sure it is.
+    """Make a page to send or print: which floor plan moves more, by how much, where robots wait.
 
-    Further layouts are compared with the first one; a single one also with what people draw by hand
-    at its size, if its stations are those.
+    Further layouts are compared with the first one. A single layout is also compared with what
+    people draw by hand at its size, if both have the same stations.
 
     Args:
         sources: layout files, and runs or zoo:DOMAIN/NAME, whose best layout is reported on.
-        agents: number of agents (robots); unless given that of the plan or its size, else 200. Half
+        agents: number of agents (robots); by default that of the plan or its size, else 200. Half
             as many to half as many again are simulated as well. Several (50,100 or 50:400:50)
             replace those; the first layout's peak is then looked at closely.
-        out: page to write (.html); report.html unless given.
+        out: page to write (.html); by default report.html.
         again: the command line that makes the page again, which it shows.
         **fleet: see `FleetOptions`.
 

@@ -37,12 +37,12 @@ def plot(
     """Draw a run's archive, progress and best layout again, or several runs side by side.
 
     Args:
-        runs: folders of runs; of several the archives on one colour scale, and the progress as
-            mean and interval over runs that differ by their seeds alone.
-        out: folder for the pictures; a run's own unless given, for generators of the zoo one
-            named after them, for several runs plots.
+        runs: folders of runs; several have one colour scale for their archives, and runs that
+            differ only in their seeds one curve of progress, mean and interval.
+        out: folder for the pictures; by default a run's own, for a generator of the zoo one that
+            is named after it, for several runs plots.
         form: format of the pictures.
-        width: width of the pictures in inches; what suits them unless given.
+        width: width of the pictures in inches; by default what suits them.
 
     Returns:
         the pictures' files.
@@ -103,16 +103,16 @@ def plot_one(
 class GrowthOptions(Ranged):
     """How an elite is grown, beyond its size."""
 
-    # in place of an elite's name a value for each measure, like 200 0.8; the nearest elite
+    # instead of an elite's name a value for each measure, like 200 0.8, to take the nearest elite
     measures: tuple[float, ...] = ()
-    # steps of growth; unless given the number known for the size, or else scaled with it
+    # steps of growth; by default the number known for the size, or else scaled with it
     steps: PositiveInt | None = None
-    # other seeds give other, equally good repairs; the run's own unless given
+    # other seeds give other, equally good repairs; by default the run's own
     seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
-    # how hard to repair: full lets HiGHS improve what is annealed, and proves it where it can; as
-    # the search did (quick) unless given, which makes the layouts that were simulated
+    # how hard to repair: full lets HiGHS improve the annealed layout, and prove it optimal if it
+    # can; by default as in the search (quick), which makes the layouts that were simulated
     polish: Polish | None = None
-    # floor plan whose size, numbers of tiles, walls and stations the layout has
+    # floor plan; the layout gets its size, numbers of tiles, walls and stations
     plan: args.PlanFile = None
     # what must stay of the plan: tiles (w), a rectangle (0:7,33:40), a drawing; + joins several
     keep: args.KeepCells = None
@@ -133,15 +133,15 @@ def generate(
 
     Args:
         run: folder of the run.
-        rows: rows of the layout; the trained size unless given.
-        cols: columns of the layout; the trained size unless given.
-        elite: "best" or another name in the zoo, or the archive cell's indices like 12,40; in
-            Python also (12, 40) or what `run.elite` found.
+        rows: rows of the layout; by default the trained size.
+        cols: columns of the layout; by default the trained size.
+        elite: "best" or another name in the zoo, or the indices of an archive cell like 12,40;
+            in Python also (12, 40) or what `run.elite` found.
         repair: --no-repair keeps what the automaton drew.
         growth: steps, seed, plan, what must stay, frames.
-        out: layout file to write (.json, .txt, .csv), a picture is drawn beside it; layout.json
-            unless given.
-        **numbers: exact numbers of tiles; unless given those known for the size, or else scaled
+        out: layout file to write (.json, .txt, .csv), with a picture beside it; by default
+            layout.json.
+        **numbers: exact numbers of tiles; by default those known for the size, or else scaled
             with the area. In Python also ``steps``, ``seed`` and ``polish``.
 
     Returns:
@@ -220,18 +220,18 @@ def series(
     out: args.Out = None,
     **numbers: args.Numbers,
 ) -> list[Layout]:
-    """Grow one elite at many sizes: those of the paper's Figure 18 unless others are given.
+    """Grow one elite at many sizes, by default those of the paper's Figure 18.
 
     Args:
-        run: the run directory.
-        elite: "best", or the archive cell's indices like 12,40.
-        sizes: rows and columns of each layout, like 33x36 57x58; seven sizes from 33x36 to
-            101x102 unless given.
-        steps: steps of growth for each size; unless given those known for it, or else scaled.
-        seed: other seeds give other, equally good repairs; the run's own unless given.
+        run: folder of the run.
+        elite: "best", or the indices of an archive cell like 12,40.
+        sizes: rows and columns of each layout, like 33x36 57x58; by default seven sizes from
+            33x36 to 101x102.
+        steps: steps of growth for each size; by default those known for it, or else scaled.
+        seed: other seeds give other, equally good repairs; by default the run's own.
         human: also draw what people design at each size.
-        out: folder for the layouts, their pictures and series.csv; series unless given.
-        **numbers: exact numbers of tiles for each size; unless given those known for it, or else
+        out: folder for the layouts, their pictures and series.csv; by default series.
+        **numbers: exact numbers of tiles for each size; by default those known for it, or else
             scaled with the area. Aisles and racks are the same for all.
 
     Returns:
@@ -276,15 +276,15 @@ def series(
 def export(
     run: args.Run, out: args.Out = None, layouts: Path | None = None, solutions: bool = False
 ) -> list[Path]:
-    """Write the elites of a run as a table, and all their layouts.
+    """Write the elites of a run as a table, and their layouts.
 
-    The table has a row for each elite: its cell (as --elite takes it), its objective, each measure
-    by its name, and what was counted in its simulations.
+    The table has a row for each elite: its cell (in the form of --elite), its objective, each
+    measure by its name, and what was counted in its simulations.
 
     Args:
-        run: the run directory.
-        out: table to write, .csv or .parquet; RUN_elites.csv unless given.
-        layouts: folder to write a layout file for each elite into, named by its cell.
+        run: folder of the run.
+        out: table to write, .csv or .parquet; by default RUN_elites.csv.
+        layouts: folder for the layouts, a file for each elite, named by its cell.
         solutions: add the parameters of the generators to the table.
 
     Returns:

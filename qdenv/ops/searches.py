@@ -36,7 +36,7 @@ _ZOO_PLANNERS = {"high": "high effort", "published": "PBS", "agent": "the agent"
 
 
 def presets() -> Result:
-    """List the presets: what they search, and how long that takes on this machine.
+    """List the presets: what each searches for, and how long that takes on this machine.
 
     Returns:
         ``presets``, a record for each, and ``sizes`` with numbers of their own.
@@ -87,14 +87,14 @@ def train(
     pictures: Suppress[args.OnCommandLine] = False,
     **settings: Annotated[Any, args.Mark.PRESET],
 ) -> RunDirectory:
-    """Search generators of floor plans: a preset, any setting of which can be overridden.
+    """Search for generators of floor plans: a preset, any setting of which can be overridden.
 
     Args:
-        preset: where to begin; `qdenv presets` lists what each searches and how long that takes.
-        path: folder of the run; a fresh one under runs/ unless given.
+        preset: settings to begin with; `qdenv presets` lists what each is and how long it takes.
+        path: folder of the run; by default a new one under runs/.
         progress: show a progress bar.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
-        plan: floor plan whose size, numbers of tiles, walls and stations all layouts have.
+        plan: floor plan; all layouts get its size, numbers of tiles, walls and stations.
         keep: what must stay of the plan: tiles (w), a rectangle (0:7,33:40), or a drawing (? is
             free).
         pictures: draw the run when it ends, as the command does.
@@ -212,13 +212,13 @@ def resume(
 
 
 def zoo(name: ZooName = "", plot: args.Picture = None) -> Result:
-    """List the trained generators that ship, with what their floor plans are worth.
+    """List the trained generators that ship with qdenv, and how good their layouts are.
 
-    Every command that takes a run takes zoo:DOMAIN/NAME as well.
+    Every command that reads a run takes zoo:DOMAIN/NAME as well.
 
     Args:
-        name: only those of a domain, or all about one, like warehouse-even/best.
-        plot: picture of their layouts at the trained size to write; zoo.png unless named.
+        name: a domain, to list only its own, or one generator, to list all about it.
+        plot: picture to write, of their layouts at the trained size; by default zoo.png.
 
     Returns:
         ``domains``, each with its generators, and for these what was measured at each size.

@@ -34,7 +34,7 @@ def sweep(
 
     Args:
         layout: layout file.
-        agents: numbers of agents (robots), as 50,100,200 or 50:400:50; the latter unless given, or
+        agents: numbers of agents (robots), as 50,100,200 or 50:400:50; by default the latter, or
             more for a layout on which more are usual.
         **study: see `StudyOptions`.
 
@@ -67,15 +67,15 @@ def compare(
     runs: args.Out = None,
     **study: Unpack[args.StudyOptions],
 ) -> Table:
-    """Put layouts, or planners, side by side: throughput, success rate, how surely they differ.
+    """Compare layouts or planners: throughput, success rate, how certain the difference is.
 
     Args:
         layouts: layout files; all others are compared with the first. With several planners, as
             --planner negotiated,pbs,pibt, each is compared with the first planner on the same
             layout, seed by seed.
-        agents: numbers of agents (robots), as 200 or 50,100 or 50:400:50; unless given that of
-            the first plan or its size, else 200.
-        runs: CSV file to write with a row for each seed.
+        agents: numbers of agents (robots), as 200 or 50,100 or 50:400:50; by default that of the
+            first plan or its size, else 200.
+        runs: CSV file to write, with a row for each seed.
         **study: see `StudyOptions`.
 
     Returns:
@@ -121,12 +121,12 @@ def compare(
 def scalability(
     layouts: args.Sources, agents: args.Counts = None, **study: Unpack[args.StudyOptions]
 ) -> Table:
-    """Add agents until the mean throughput drops; report the peak and where it is.
+    """Add agents until the mean throughput drops; report the peak and the agents at the peak.
 
     Args:
         layouts: layout files, of one size or of several.
-        agents: numbers of agents (robots) to try in turn; 50:1000:50 unless given, or more for a
-            layout on which more are usual. Those that do not fit are left out.
+        agents: numbers of agents (robots) to try in turn; by default 50:1000:50, or more for a
+            layout on which more are usual. Numbers that do not fit are left out.
         **study: see `StudyOptions`.
 
     Returns:

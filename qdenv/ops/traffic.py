@@ -42,14 +42,14 @@ def simulate(
 
     Args:
         layout: layout file.
-        agents: number of agents (robots); unless given that of the plan or its size, else 200.
+        agents: number of agents (robots); by default that of the plan or its size, else 200.
         audit: check every trajectory against the rules of movement.
         verdict: simulate a few runs with fewer and with more agents as well, to find whether this
             number flows, is near capacity, past its peak or congested.
         plot: picture of where agents wait, drive and finish tasks, and of throughput over time.
-        width: width of the picture in inches; what suits it unless given.
-        paths: file of where every robot is at every timestep of the first seed's run: .csv, or
-            .json for PlanViz.
+        width: width of the picture in inches; by default what suits it.
+        paths: file to write, of where every robot is at every timestep of the first seed's run:
+            .csv, or .json for PlanViz.
         **fleet: see `FleetOptions`.
 
     Returns:
@@ -178,17 +178,17 @@ def audit_run(
     layout: Annotated[Any, arg(constructor=Path)],
     domain: args.DomainName = None,
 ) -> Table:
-    """Check a fleet's run from anywhere against the rules of movement: exit code 0, or 1.
+    """Check a fleet's run of any program against the rules of movement (exit code 0 or 1).
 
-    Robots stay on the floor, take one step at a time, share no cell and never swap cells; where
-    the file knows their goals, these are checked and the finished tasks counted.
+    Robots stay on the floor, take one step at a time, share no cell and never swap cells; if the
+    file has their goals, these are checked and the finished tasks counted.
 
     Args:
         run: file of the run: JSON of the League of Robot Runners, or lines of timestep, robot, row
             and column.
-        layout: file of the layout that it was driven on.
-        domain: whose layout; what the file says, or its tiles tell, unless given; a .map is of the
-            domain map.
+        layout: file of the layout on which the robots drove.
+        domain: domain of the layout; by default what the file states, or its tiles suggest; a .map
+            is of the domain map.
 
     Returns:
         a `BrokenRule` for each kind of rule that was broken first; empty for a valid run.

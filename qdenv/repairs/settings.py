@@ -21,12 +21,12 @@ class RepairConfig(Ranged):
     # "none" anneals as little as is safe, "quick" as long as a search can afford, "full" longer;
     # then the solver improves windows, and runs on the whole layout to a proof or to its limits
     polish: Polish = "quick"
-    # annealing moves per free cell; None for what `polish` means
+    # annealing moves per free cell; None for the number that `polish` implies
     moves_per_cell: NonNegativeInt | None = None
     gap: NonNegativeFloat = 0.0  # relative gap at which the solver stops
-    # branch-and-bound nodes of one solve; None for what `polish` means
+    # branch-and-bound nodes of one solve; None for the number that `polish` implies
     node_limit: NonNegativeInt | None = None
-    # wall-clock safety net of one solve in seconds; only when it fires is a repair not
+    # wall-clock limit of one solve in seconds, a safety net; only a repair that reaches it is not
     # reproducible, and its status says so
     time_limit: Annotated[float, Interval(gt=0)] = 1800.0
     # threads that repair layouts of a batch; None for one per core

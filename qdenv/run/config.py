@@ -41,16 +41,16 @@ class RunConfig(Ranged):
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
     # settings of the search; their type says which algorithm it is
     algorithm: Any = dataclasses.field(default_factory=lambda: ALGORITHMS.config("cma-mae"))
-    # how many solutions are evaluated, rounded up to whole iterations
+    # number of solutions to evaluate, rounded up to whole iterations
     evaluations: PositiveInt = 10_000
     # (low, high, cells) of each measure; empty for the domain's own
     archive: tuple[tuple[float, float, int], ...] = ()
     # where the search begins: the best generator of a run, one of the zoo, or the elite of a cell,
-    # like runs/first, zoo:warehouse-even/calm and runs/first@12,40; zeros where empty
+    # like runs/first, zoo:warehouse-even/calm and runs/first@12,40; by default at zeros
     start: str = ""
     # random seed of everything, 0 or more
     seed: Annotated[int, Interval(ge=-MOST, le=MOST)] = 0
-    checkpoint_every: PositiveInt = 5  # iterations between checkpoints; decides no result
+    checkpoint_every: PositiveInt = 5  # iterations between checkpoints; does not affect results
 
 
 def config_to_json(config: RunConfig) -> dict[str, Any]:

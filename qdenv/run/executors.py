@@ -62,9 +62,9 @@ class Execution(Ranged):
     """Where layouts are repaired and simulated; decides how long a run takes, not what it finds."""
 
     executor: ExecutorName = "threads"  # threads of this process, or a Dask cluster
-    # address of the cluster's scheduler; a cluster on this machine unless given
+    # address of the cluster's scheduler; by default a cluster on this machine
     scheduler: str | None = None
-    # threads that repair, or processes of a cluster on this machine; one per core unless given
+    # threads that repair, or processes of a cluster on this machine; by default one per core
     workers: PositiveInt | None = None
 
     def __post_init__(self) -> None:

@@ -81,9 +81,9 @@ class CmaMaeConfig(Ranged):
     # when nothing was accepted, never (basic), or every N iterations
     restart: Literal["no_improvement", "basic"] | PositiveInt = "no_improvement"
     # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
-    # limited-memory form (lm_ma), or one of evosax'
+    # limited-memory form (lm_ma), or one of evosax's
     strategy: Strategy = "iso"
-    # populations drawn before the scores of the one before them are known, for many workers: the
+    # populations drawn before the scores of the previous one are known, for many workers: the
     # emitters become ahead + 1 groups that take turns
     ahead: Ahead = 0
 
@@ -133,7 +133,7 @@ class MapElitesConfig(Ranged):
     # published runs drew their parents from the soft archive of CMA-MAE (0.01 and 0).
     learning_rate: Share = 1.0
     threshold_min: float = -math.inf  # threshold of an empty cell of the parents' archive
-    # populations drawn before the scores of the one before them are known, for many workers
+    # populations drawn before the scores of the previous one are known, for many workers
     ahead: Ahead = 0
 
     def __post_init__(self) -> None:
@@ -158,10 +158,10 @@ class CmaEsConfig(Ranged):
     # distribution is degenerate restarts anyway, from a random elite.
     restart: Literal["no_improvement", "basic"] | PositiveInt = "basic"
     # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
-    # limited-memory form (lm_ma), or one of evosax', of which CMA_ES decomposes its full matrix at
+    # limited-memory form (lm_ma), or one of evosax's, of which CMA_ES decomposes its full matrix at
     # every step: for some hundreds of parameters at most
     strategy: Strategy = "iso"
-    # populations drawn before the scores of the one before them are known, for many workers: the
+    # populations drawn before the scores of the previous one are known, for many workers: the
     # emitters become ahead + 1 groups that take turns
     ahead: Ahead = 0
 
@@ -177,7 +177,7 @@ class RandomSearchConfig(Ranged):
 
     batch: PositiveInt = 50  # solutions per iteration
     sigma: PositiveFloat = 0.2  # standard deviation of every parameter
-    # populations drawn before the scores of the one before them are known, for many workers
+    # populations drawn before the scores of the previous one are known, for many workers
     ahead: Ahead = 0
 
 
@@ -208,7 +208,7 @@ class DsageConfig(Ranged):
     # tiles that a mutation draws again; 0 draws their number, 2 on average
     mutations: NonNegativeInt = 0
     # blocks of the archive along each measure, from each of which one elite of the inner loop is
-    # evaluated truly; half, then a quarter of the cells unless given
+    # evaluated truly; by default half, then a quarter of the cells
     downsample: tuple[PositiveInt, ...] = ()
     # its size, and how it learns
     surrogate: SurrogateConfig = field(default_factory=SurrogateConfig)

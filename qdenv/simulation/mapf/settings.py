@@ -32,7 +32,7 @@ PLANNERS = Registry(
 class FleetConfig(Ranged):
     """The numbers of a simulation, all compile-time."""
 
-    # number of robots, or the largest where `simulate` takes fewer
+    # number of robots, or the largest number if `simulate` takes fewer
     agents: PositiveInt = 200
     timesteps: PositiveInt = 1000  # length of a simulation, T in the paper
     # timesteps planned ahead without conflict, at most what the planner can do
@@ -41,7 +41,7 @@ class FleetConfig(Ranged):
     # settings record of the planner; its type says which one of `PLANNERS`
     planner: Any = field(default_factory=lambda: LOW)
     stop_when_congested: bool = True  # end the run at the first congested window
-    # goal cells the tables have room for; None for one per cell of the layout
+    # number of goal cells for which tables have room; None for one per cell of the layout
     goal_capacity: PositiveInt | None = None
 
     def __post_init__(self) -> None:

@@ -40,21 +40,21 @@ class NegotiatedConfig(Ranged):
     lanes: _Number = 4  # agents that plan against the same reservations in one round
     # most rounds, in units of ``agents / lanes``
     rounds: Annotated[float, Interval(gt=0, le=_LARGEST)] = 12.0
-    # how finely the soft conflicts of a path are counted: the numbers 0, 1, ... told apart, the
-    # last of which stands for all larger ones; 1 to 4.
+    # how many numbers 0, 1, ... of soft conflicts of a path are distinguished, the last of which
+    # stands for all larger ones; 1 to 4.
     conflict_levels: Annotated[int, Interval(ge=1, le=_MAX_CONFLICT_LEVELS)] = 4
-    # timesteps an agent would rather lose than drive over one reservation, at its first, second,
-    # ... attempt within a window; the last is used from then on.
+    # timesteps that an agent would rather lose than drive over one reservation, at its first,
+    # second, ... attempt within a window; the last number also holds for all later attempts.
     penalties: tuple[Annotated[float, Interval(ge=0, le=_LARGEST)], ...] = (
         *(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5),
         *(4.5, 5.5, 6.5, 8.5, 11.0, 16.0),
     )
-    # let agents avoid, where that costs nothing, where the others went in the last plan
+    # let agents avoid the cells that others took in the last plan, if that costs nothing
     remember: bool = True
-    # what agents without a reservation do: the joint plan of PIBT, or standing still, which
+    # what agents without a reservation do: follow the joint plan of PIBT, or stand still, which
     # congests as priority-based search does
     last_resort: Literal["pibt", "wait"] = "pibt"
-    # where to run: compiled host code ("auto", too) or XLA
+    # where to run: compiled host code (also "auto") or XLA
     backend: Backend = "auto"
 
     def __post_init__(self) -> None:

@@ -22,8 +22,8 @@ class PbsConfig(Ranged):
     https://arxiv.org/abs/2005.07371.
     """
 
-    # what becomes of an agent that finds no path past those with precedence over it. "published":
-    # it stays where it is, against all reservations, and whoever waits at its start has precedence
+    # what an agent does that finds no path past those with precedence over it. "published": it
+    # stays where it is, against all reservations, and whoever waits at its start has precedence
     # there; so plans never fail, and crowds freeze. "plain": the search tries another order.
     rule: Rule = "published"
     # most nodes of the search tree that are expanded per window, in units of the number of agents;

@@ -14,10 +14,10 @@ class PibtConfig(Ranged):
     Okumura et al. 2022, https://arxiv.org/abs/1901.11282.
     """
 
-    # where to run: compiled host code ("auto", too) or XLA; the results are the same
+    # where to run: compiled host code (also "auto") or XLA; the results are the same
     backend: Backend = "auto"
-    # whether agents change places where there is no room for two to pass (Okumura 2023): for floors
-    # with dead ends and narrow passages; always computed on the host
+    # whether agents change places where two have no room to pass (Okumura 2023): for floors with
+    # dead ends and narrow passages; always computed on the host
     swap: bool = False
 
 
