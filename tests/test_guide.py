@@ -67,7 +67,7 @@ def test_a_pause_and_going_on_end_where_one_search_does(found, plan, tmp_path):
 
 def test_a_search_goes_on_from_the_costs_of_another(found, plan, tmp_path):
     before = found[1] / FILE
-    qdenv.guide(plan, path=tmp_path / "on", guidance=before, evaluations=80, minutes=1e-9, **FLEET)
+    qdenv.guide(before, path=tmp_path / "on", evaluations=80, minutes=1e-9, **FLEET)
     qdenv.guide(plan, path=tmp_path / "whole", guidance=before, evaluations=80, **FLEET)
     run = qdenv.resume(tmp_path / "on", progress=False)
     assert (run.path / FILE).read_bytes() == (tmp_path / "whole" / FILE).read_bytes()

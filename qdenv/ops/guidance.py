@@ -46,8 +46,8 @@ def guide(
     """Find costs of moves with which a fleet finishes more tasks on an unchanged floor.
 
     The run's folder gets the costs (guidance.json, for --guidance), a picture of them, and a table
-    of the throughput before and after, for several numbers of agents. The search begins at the
-    costs of --guidance, by default crisscross; with those of another search it continues that one.
+    of the throughput before and after, for several numbers of agents. A search that begins at the
+    costs of another one improves them.
 
     Args:
         layout: layout file.
@@ -70,16 +70,18 @@ def guide(
         ``qdenv guide plan.txt --robots 60 --minutes 5``
     """
     given: dict[str, Any] = dict(search)
-    minutes, base = given.pop("minutes", None), given.pop("guidance", None) or "crisscross"
-    named = isinstance(base, str) and base in get_args(Base)
+    minutes, base = given.pop("minutes", None), given.pop("guidance", None)
     usual = {"evaluations": 2000, "simulations": 1, "seed": 0}
     numbers = {name: given.pop(name, one) for name, one in usual.items()}
-    if not named and method == "update":
-        raise InputError(f"guidance {base}: an update model begins at none or crisscross")
     if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
     plan = options.with_tasks(args.read_plan(layout, options.domain))
+    if base is None and (plan.costs is None or method == "update"):
+        base = "crisscross"
+    named = isinstance(base, str) and base in get_args(Base)
+    if not named and method == "update":
+        raise InputError(f"guidance {base}: an update model begins at none or crisscross")
     name = args.name_of(layout)
     agents, timesteps, note = options.usual(plan, agents)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")

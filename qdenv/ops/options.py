@@ -168,6 +168,9 @@ class GuideOptions(RunOptions, total=False):
     minutes: PositiveFloat | None  # pause after this many minutes; `qdenv resume` continues
     simulations: PositiveInt  # simulations of each try, with fresh seeds; by default 1
     seed: NonNegativeInt  # seed of the search; by default 0
+    # costs of moves where the search begins: none, crisscross, traffic-flow, human-cost, or a file;
+    # by default those in the layout file, else crisscross
+    guidance: Guidance
 
 
 class ImproveOptions(RunOptions, total=False):
