@@ -194,7 +194,7 @@ def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
     if case.graph:
         guidances["graph"] = published(case.graph)
     found = {path.stem.rpartition("-"): path for path in sorted(FOUND.glob("*.json"))}
-    guidances |= {f"ours, seed {key[2]}": path for key, path in found.items() if key[0] == name}
+    guidances |= {f"ours {key[2]}": path for key, path in found.items() if key[0] == name}
     floors = {f"{name}/{one}": guide(plan, where).floor for one, where in guidances.items()}
     counts = agents or (case.fleet.agents,)
     trial = Trial(plan.domain.simulator.tasks, case.fleet, counts, range(seeds))
