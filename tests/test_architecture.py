@@ -302,12 +302,12 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_485,
+    "lines": 33_459,
     "files": 195,
     "records": 195,
-    "public names": 1_240,
+    "public names": 1_238,
     "class names used twice": 0,
-    "functions of two lines": 336,
+    "functions of two lines": 334,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
