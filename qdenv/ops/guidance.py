@@ -93,11 +93,11 @@ def guide(
     from qdenv.run import loop
     from qdenv.study import guides
 
+    start = None
+    if not named:
+        guided = guide_plan(plan, base)
+        start, base = guides.start_at(guided), guided.guidance
     with studies.about(name):
-        start = None
-        if not named:
-            guided = guide_plan(plan, base)
-            start, base = guides.start_at(guided), guided.guidance
         config = guides.guide_config(plan, fleet, method, base, **numbers)
     planner = describe_planner(fleet.planner)
     say(*filter(None, [note]), f"{agents} agents, {timesteps} timesteps; planner: {planner}")
