@@ -274,6 +274,7 @@ def test_the_page_of_improvements_states_what_was_saved():
     text = page("notebooks/how_to/improve.md")
     with (RESULTS / "improve.csv").open() as lines:
         found = [row for row in csv.DictReader(lines) if row["section"] == "rows"]
+    assert len(found) == 24  # four halls, three seeds, two numbers of robots
     for pair in zip(found[::2], found[1::2], strict=True):
         cells = [pair[0]["seed"], pair[0]["racks_moved"]] + [
             f"+{float(row['percent']):.1f} % ({float(row['low']):.1f} to {float(row['high']):.1f})"

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, programs, random_layout
+from jax import export
 
 from qdenv.domains.base import find_domain
 from qdenv.simulation.mapf import fleet
@@ -47,13 +48,13 @@ def test_a_simulation_in_xla_is_exported_whole_and_gives_the_hosts_numbers(plann
 
     layout = jnp.asarray(domain.human())
     arguments = layout, jax.random.key_data(jax.random.key(2))
-    stored = jax.export.export(simulation(xla))(*arguments).serialize()
-    exported = jax.export.deserialize(stored).call(*arguments)
+    stored = export.export(simulation(xla))(*arguments).serialize()
+    exported = export.deserialize(stored).call(*arguments)
     on_host = simulation(host)(*arguments)
     assert on_host[0] > 0.2  # tasks per timestep
     jax.tree.map(np.testing.assert_array_equal, exported, on_host)
     with pytest.raises(Exception, match="callback"):
-        jax.export.export(simulation(host))(*arguments).serialize()
+        export.export(simulation(host))(*arguments).serialize()
 
 
 @pytest.mark.parametrize("device", ["cpu", "default"])
