@@ -39,7 +39,7 @@ from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
-from qdenv.study.guides import find_guidance, guide_config
+from qdenv.study.guides import best_base, find_guidance, guide_config
 from qdenv.study.options import parse_counts
 from qdenv.study.plans import Plan, guide, read_plan
 from qdenv.study.table import Row, Trial, compare, write_rows
@@ -170,7 +170,7 @@ def find_costs(name: str, seed: int, simulations: int) -> None:
     case: Case = look_up(CASES, name, "case")
     plan = read_floor(case)
     numbers = {"evaluations": simulations, "simulations": 1, "seed": seed}
-    config = guide_config(plan, case.fleet, "costs", "crisscross", **numbers)
+    config = guide_config(plan, case.fleet, "costs", best_base(plan, case.fleet), **numbers)
     run = whole_run(config, Path("runs/guidance") / f"{name}-{seed}", report=print)
     costs, judged = find_guidance(run)
     free = plan.domain.drivable(plan.layout)

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from qdenv.grid import parse
-from qdenv.guidance import existing_moves, scaled_costs
+from qdenv.guidance import NUM_SMOOTH, existing_moves, scaled_costs, smooth_logarithms
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.registry import Entry, Registry
@@ -55,7 +55,7 @@ class Generator(NamedTuple):
 
 
 # A guidance that any floor can have, by its name in `guidance.GUIDANCE`.
-Base: TypeAlias = Literal["none", "crisscross"]
+Base: TypeAlias = Literal["none", "crisscross", "crisscross-pairs"]
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,8 @@ class GuidedNcaConfig(NcaConfig):
     """The numbers of an automaton that draws the costs of moves in five more channels."""
 
     base: Base = "crisscross"  # the costs that it draws factors of
+    # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
+    smooth: bool = True
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ class CostsConfig(Ranged):
     # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
     floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
     base: Base = "crisscross"  # the costs from which the search begins
+    # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
+    smooth: bool = True
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,8 @@ class UpdateConfig(Ranged):
     kernel_sizes: tuple[int, ...] = (3, 1, 3)  # widths of the kernels of its convolutions, in cells
     hidden: PositiveInt = 16  # channels of its hidden layers
     base: Base = "crisscross"  # the costs that are updated first
+    # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
+    smooth: bool = True
 
 
 @dataclass(frozen=True)
@@ -177,7 +183,10 @@ def costs(config: CostsConfig, canvas: Canvas) -> Generator:
     def guide(
         solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
     ) -> jax.Array:
-        logarithms = jnp.zeros(moves.size).at[places].set(solution).reshape(moves.shape)
+        single, smooth = solution[: len(places)], solution[len(places) :]
+        logarithms = jnp.zeros(moves.size).at[places].set(single).reshape(moves.shape)
+        logarithms += smooth_logarithms(smooth, layout.shape, config.base)
         return scaled_costs(logarithms, config.base)
 
-    return Generator(len(places), 0, draw_nothing(canvas), guide=guide)
+    size = len(places) + NUM_SMOOTH * config.smooth
+    return Generator(size, 0, draw_nothing(canvas), guide=guide)

@@ -28,6 +28,11 @@ Guidance: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 _ONE = 64  # the mean cost of a move as a whole number: from a 64th to 16 times the mean fits
 _LEAST_ONE = 16  # the same where the dearest move would be dearer than that
 _MOST_SCALED = math.log(10)  # by how much generators change costs at most, as a logarithm
+NUM_SMOOTH = 54  # numbers of `smooth_logarithms`
+# How much more they count than the logarithm of a single cost: a search first finds where traffic
+# should go, then each turn of its way.
+_SMOOTHER = 3
+_WIDTHS = {"crisscross-pairs": 2}  # rows or columns of a lane of a guidance, where not one
 _CLOSED = 99.0  # doublings of the cost, of a move that is not allowed
 BUCKETS = 1024  # above every whole cost of a move
 
@@ -71,6 +76,28 @@ def scaled_costs(logarithms: Array, base: str) -> jax.Array:
     start = np.ones((NUM_MOVES, *shape)) if start is None else start
     factors = jnp.exp(jnp.clip(logarithms, -_MOST_SCALED, _MOST_SCALED))
     return jnp.clip(jnp.rint(start * _ONE * factors), 1, BUCKETS - 1).astype(jnp.int32)
+
+
+def smooth_logarithms(numbers: Array, shape: tuple[int, ...], base: str) -> Array:
+    """Return logarithms of factors of costs that vary smoothly over a floor of any size; traceable.
+
+    Waiting has a quadratic function of the position, and so has each direction in even and in odd
+    lanes of the `base`. Three times the `numbers` (float [54], or [0] for factors of one) are their
+    six coefficients. So a few numbers lead traffic away from where all ways cross, and give lanes
+    their direction and strength. Returns float [5, H, W].
+    """
+    if len(numbers) == 0:
+        return np.zeros((NUM_MOVES, *shape), np.float32)
+    rows, cols = np.indices(shape)
+    x, y = (2 * cols + 1) / shape[1] - 1, (2 * rows + 1) / shape[0] - 1  # -1 to 1 over the floor
+    terms = jnp.asarray(np.stack([np.ones(shape), x, y, x * x, x * y, y * y]), jnp.float32)
+    values = jnp.tensordot(_SMOOTHER * jnp.reshape(numbers, (-1, len(terms))), terms, 1)
+    width = _WIDTHS.get(base, 1)
+    odd = np.zeros((NUM_MOVES - 1, *shape), bool)
+    odd[[RIGHT - 1, LEFT - 1]] = rows // width % 2
+    odd[[DOWN - 1, UP - 1]] = cols // width % 2
+    moves = jnp.where(odd, values[NUM_MOVES:], values[1:NUM_MOVES])
+    return jnp.concatenate([values[:1], moves])
 
 
 def unscaled_costs(fixed: np.ndarray, traversable: np.ndarray) -> np.ndarray:
@@ -128,19 +155,23 @@ def _check_connected(fixed: np.ndarray, free: np.ndarray) -> None:
         )
 
 
-def crisscross(traversable: np.ndarray) -> np.ndarray:
+def crisscross(traversable: np.ndarray, width: int = 1) -> np.ndarray:
     """Halve the cost of one direction, alternately, in rows and in columns (as published).
 
-    To the right in even rows, to the left in odd ones; up in even columns, down in odd ones.
+    To the right in even lanes, to the left in odd ones; up in even columns, down in odd ones. A
+    lane is a row or column, or of a `width` of two: where aisles are every other row, the next
+    aisle then leads back.
     """
     costs = np.ones((NUM_MOVES, *traversable.shape))
-    costs[RIGHT, ::2] = costs[LEFT, 1::2] = costs[UP, :, ::2] = costs[DOWN, :, 1::2] = 0.5
+    rows, cols = (np.arange(size) // width % 2 == 0 for size in traversable.shape)
+    costs[RIGHT, rows] = costs[LEFT, ~rows] = costs[UP, :, cols] = costs[DOWN, :, ~cols] = 0.5
     return costs
 
 
 GUIDANCE: dict[str, Guidance] = {
     "none": lambda traversable, legs: None,
     "crisscross": lambda traversable, legs: crisscross(traversable),
+    "crisscross-pairs": lambda traversable, legs: crisscross(traversable, 2),
     # Late: these import a compiler.
     "traffic-flow": lambda *floor: pkgutil.resolve_name("qdenv.highways:traffic_flow")(*floor),
     "human-cost": lambda *floor: pkgutil.resolve_name("qdenv.highways:human_cost")(*floor),

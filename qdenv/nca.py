@@ -28,7 +28,7 @@ from qdenv.generators import (
     draw_nothing,
 )
 from qdenv.grid import NUM_MOVES, parse
-from qdenv.guidance import scaled_costs
+from qdenv.guidance import NUM_SMOOTH, scaled_costs, smooth_logarithms
 from qdenv.types import Array, InputError
 
 # The numbers of an exact automaton are multiples of these fractions, so small that no sum has more
@@ -194,13 +194,13 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     def grow(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
         # One solution after the other: its numbers then cannot depend on how many grow beside it,
         # and a convolution with its own weights per item is no faster batched on a CPU.
-        cells = jax.lax.map(lambda one: grow_one(one, start, steps), solutions)
+        cells = jax.lax.map(lambda one: grow_one(one[:size], start, steps), solutions)
         return choose_tiles(cells[..., :kinds])
 
     def frames(solutions: jax.Array, steps: int) -> jax.Array:
         def one(weights: jax.Array) -> jax.Array:
             def step(cells: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
-                grown = grow_one(weights, cells, 1)
+                grown = grow_one(weights[:size], cells, 1)
                 return grown, choose_tiles(grown[..., :kinds])
 
             first = jnp.asarray(start)
@@ -212,12 +212,18 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     def guide(
         solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
     ) -> jax.Array:
-        logarithms = 2 * jnp.moveaxis(grow_one(solution, start, steps)[..., kinds:], -1, 0) - 1
+        cells = grow_one(solution[:size], start, steps)
+        logarithms = 2 * jnp.moveaxis(cells[..., kinds:], -1, 0) - 1
         edges = [(more // 2, more // 2) for more in np.subtract(layout.shape, start.shape[:2])]
         logarithms = jnp.pad(logarithms * math.log(10), ((0, 0), *edges), "edge")
-        return scaled_costs(logarithms, getattr(config, "base", ""))
+        base = getattr(config, "base", "")
+        logarithms += smooth_logarithms(solution[size:], layout.shape, base)
+        return scaled_costs(logarithms, base)
 
-    return Generator(size, config.steps, grow, frames=frames, guide=guide if guided else None)
+    more = NUM_SMOOTH * getattr(config, "smooth", False)
+    return Generator(
+        size + more, config.steps, grow, frames=frames, guide=guide if guided else None
+    )
 
 
 class Update(nn.Module):
@@ -252,7 +258,8 @@ def update(config: UpdateConfig, canvas: Canvas) -> Generator:
     def guide(
         solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
     ) -> jax.Array:
-        weights, logarithms = unravel(solution), jnp.zeros((NUM_MOVES, *layout.shape))
+        weights = unravel(solution[: flat.size])
+        logarithms = smooth_logarithms(solution[flat.size :], layout.shape, config.base)
         for number in range(config.rounds):
             moves = drive(scaled_costs(logarithms, config.base), number)
             free = moves.sum(axis=0) > 0
@@ -263,4 +270,4 @@ def update(config: UpdateConfig, canvas: Canvas) -> Generator:
             logarithms += jnp.moveaxis(change, -1, 0)
         return scaled_costs(logarithms, config.base)
 
-    return Generator(flat.size, 0, draw_nothing(canvas), guide=guide)
+    return Generator(flat.size + NUM_SMOOTH * config.smooth, 0, draw_nothing(canvas), guide=guide)

@@ -302,10 +302,10 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33456,
+    "lines": 33_530,
     "files": 195,
     "records": 195,
-    "public names": 1_238,
+    "public names": 1_241,
     "class names used twice": 0,
     "functions of two lines": 334,
 }

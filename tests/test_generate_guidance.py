@@ -10,8 +10,15 @@ from small_warehouse import ROWS
 
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.generators import GENERATORS, CostsConfig, GuidedNcaConfig, NcaConfig, UpdateConfig
-from qdenv.grid import RIGHT, WAIT, of_tiles, parse
-from qdenv.guidance import crisscross, existing_moves, fixed_costs, scaled_costs
+from qdenv.grid import LEFT, RIGHT, WAIT, of_tiles, parse
+from qdenv.guidance import (
+    NUM_SMOOTH,
+    crisscross,
+    existing_moves,
+    fixed_costs,
+    scaled_costs,
+    smooth_logarithms,
+)
 from qdenv.nca import add_channels
 from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.run.evaluate import Threads
@@ -54,7 +61,7 @@ def test_a_floor_that_stands_begins_with_the_costs_of_the_base(generator):
 
 
 def test_a_parameter_is_the_logarithm_of_a_factor():
-    guide = GENERATORS.make(CostsConfig(FLOOR, "none"), WAREHOUSE.canvas).guide
+    guide = GENERATORS.make(CostsConfig(FLOOR, "none", smooth=False), WAREHOUSE.canvas).guide
     moves = existing_moves(FREE)
     solution = np.zeros(moves.sum(), np.float32)
     solution[moves[WAIT].sum()] = np.log(2)  # the first way to the right
@@ -64,6 +71,33 @@ def test_a_parameter_is_the_logarithm_of_a_factor():
     assert costs[(RIGHT, *cell)] == 128
     assert costs[WAIT].min() == 6
     assert (costs == 64).sum() == costs.size - 2
+
+
+@pytest.mark.parametrize("base, width", [("none", 1), ("crisscross", 1), ("crisscross-pairs", 2)])
+def test_smooth_factors_are_quadratic_in_the_position_for_each_move_and_lane(base, width):
+    shape = 5, 7
+    numbers = np.random.default_rng(2).normal(size=NUM_SMOOTH).astype(np.float32)
+    found = np.asarray(smooth_logarithms(numbers, shape, base))
+    kinds = numbers.reshape(9, 6)  # waiting; right, left, down, up of even lanes, then of odd ones
+    for move, row, col in np.ndindex(5, *shape):
+        x, y = (2 * col + 1) / shape[1] - 1, (2 * row + 1) / shape[0] - 1
+        lane = (row if move in (RIGHT, LEFT) else col) // width
+        kind = kinds[0 if move == WAIT else move + 4 * (lane % 2)]
+        expected = 3 * kind @ [1, x, y, x * x, x * y, y * y]
+        assert found[move, row, col] == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("config", [CostsConfig(FLOOR), UpdateConfig(1), GuidedNcaConfig(steps=2)])
+def test_a_solution_ends_with_its_smooth_factors(config):
+    generator = GENERATORS.make(config, WAREHOUSE.canvas)
+    solution = np.zeros(generator.size, np.float32)
+    smooth = np.random.default_rng(5).normal(0, 0.2, NUM_SMOOTH).astype(np.float32)
+    solution[-NUM_SMOOTH:] = smooth
+    costs = generator.guide(solution, 2, LAYOUT, lambda costs, number: jnp.ones_like(costs))
+    expected = scaled_costs(smooth_logarithms(smooth, LAYOUT.shape, "crisscross"), "crisscross")
+    np.testing.assert_array_equal(costs, expected)
+    plain = GENERATORS.make(replace(config, smooth=False), WAREHOUSE.canvas)
+    assert plain.size == generator.size - NUM_SMOOTH
 
 
 def test_the_base_is_what_fixed_costs_make_of_it_but_for_the_scale():
@@ -79,7 +113,9 @@ def test_costs_without_a_floor_are_refused():
 
 
 def test_an_automaton_grows_its_costs_with_the_tiles_and_the_frame_has_the_nearest():
-    generator = GENERATORS.make(GuidedNcaConfig(steps=4, hidden=4, base="none"), WAREHOUSE.canvas)
+    generator = GENERATORS.make(
+        GuidedNcaConfig(steps=4, hidden=4, base="none", smooth=False), WAREHOUSE.canvas
+    )
     solution = np.random.default_rng(1).normal(0, 0.4, generator.size).astype(np.float32)
     costs = np.asarray(generator.guide(solution, 4, LAYOUT, None))
     assert costs.shape == (5, *LAYOUT.shape)
@@ -137,7 +173,8 @@ def test_moves_are_counted_as_the_recording_shows_them():
 
 
 def test_an_update_reads_the_moves_of_a_simulation_under_the_costs_before():
-    generator = GENERATORS.make(UpdateConfig(rounds=2, hidden=3), WAREHOUSE.canvas)
+    config = UpdateConfig(rounds=2, hidden=3, smooth=False)
+    generator = GENERATORS.make(config, WAREHOUSE.canvas)
     solution = np.random.default_rng(3).normal(0, 0.3, generator.size).astype(np.float32)
     seen = []
 

@@ -105,7 +105,7 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
         qdenv.guide(plan, model=path, path=tmp_path / "out", **FLEET)
     with pytest.raises(InputError, match="simulate fewer agents"):
         qdenv.guide(plan, path=tmp_path / "out", **FLEET | {"agents": 500})
-    with pytest.raises(InputError, match="an update model begins at none or crisscross"):
+    with pytest.raises(InputError, match="an update model begins at one of none"):
         other = FLEET | {"method": "update", "guidance": "human-cost"}
         qdenv.guide(plan, path=tmp_path / "out", **other)
     maze = qdenv.read_plan(plan)._replace(domain=qdenv.find_domain("maze-walls"))

@@ -77,11 +77,10 @@ def guide(
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
     plan = options.with_tasks(args.read_plan(layout, options.domain))
-    if base is None and (plan.costs is None or method == "update"):
-        base = "crisscross"
-    named = isinstance(base, str) and base in get_args(Base)
+    named = base in get_args(Base) or (base is None and (plan.costs is None or method == "update"))
     if not named and method == "update":
-        raise InputError(f"guidance {base}: an update model begins at none or crisscross")
+        known = ", ".join(get_args(Base))
+        raise InputError(f"guidance {base}: an update model begins at one of {known}")
     name = args.name_of(layout)
     agents, timesteps, note = options.usual(plan, agents)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -98,7 +97,10 @@ def guide(
         guided = guide_plan(plan, base)
         start, base = guides.start_at(guided), guided.guidance
     with studies.about(name):
-        config = guides.guide_config(plan, fleet, method, base, **numbers)
+        if base is None and model is None:
+            base = guides.best_base(plan, fleet)
+            say(f"begins at {base}, the best of {', '.join(get_args(Base))}")
+        config = guides.guide_config(plan, fleet, method, base or "none", **numbers)
     planner = describe_planner(fleet.planner)
     say(*filter(None, [note]), f"{agents} agents, {timesteps} timesteps; planner: {planner}")
     path = reserve(fresh, folder=True) if path is None else Path(path)

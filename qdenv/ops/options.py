@@ -138,8 +138,8 @@ class RunOptions(TypedDict, total=False):
     tasks: Annotated[dict[str, Any], arg(name="", constructor=TaskOptions)]
     # end a run at its first congested window, as the paper does; --no-stop continues
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
-    # costs of moves: none, crisscross, traffic-flow, human-cost, or a file; by default those in the
-    # layout file
+    # costs of moves: none, crisscross, crisscross-pairs, traffic-flow, human-cost, or a file; by
+    # default those in the layout file
     guidance: Guidance
 
 
@@ -168,8 +168,8 @@ class GuideOptions(RunOptions, total=False):
     minutes: PositiveFloat | None  # pause after this many minutes; `qdenv resume` continues
     simulations: PositiveInt  # simulations of each try, with fresh seeds; by default 1
     seed: NonNegativeInt  # seed of the search; by default 0
-    # costs of moves where the search begins: none, crisscross, traffic-flow, human-cost, or a file;
-    # by default those in the layout file, else crisscross
+    # costs of moves where the search begins, a name or a file as of `simulate`; by default those in
+    # the layout file, else the best of none, crisscross and crisscross-pairs
     guidance: Guidance
 
 

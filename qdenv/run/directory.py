@@ -31,6 +31,7 @@ import numpy as np
 from qdenv.domains.base import make_domain
 from qdenv.generators import GENERATORS, GuidedNcaConfig, NcaConfig
 from qdenv.grid import NUM_MOVES
+from qdenv.guidance import NUM_SMOOTH
 from qdenv.io.arrays import Column, read_arrays, write_arrays
 from qdenv.io.files import damaged, locked, refuse_second_run, write_csv, write_json
 from qdenv.io.records import parse_cell, read_json, read_rows, read_table, structured
@@ -357,8 +358,9 @@ def find_start(config: RunConfig) -> np.ndarray | None:
     if type(theirs) is NcaConfig and isinstance(ours, GuidedNcaConfig):
         from qdenv.nca import add_channels  # imports flax
 
-        more = {**free, "base": ours.base}
+        more = {**free, "base": ours.base, "smooth": ours.smooth}
         solution = add_channels(solution, kinds, NUM_MOVES, theirs.kernel_sizes, theirs.hidden)
+        solution = np.pad(solution, (0, NUM_SMOOTH * ours.smooth))
         theirs = GuidedNcaConfig(**vars(theirs) | more)
     if ours != theirs:
         names = [GENERATORS.name_of(one) for one in (theirs, ours)]

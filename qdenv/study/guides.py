@@ -10,7 +10,7 @@ import numpy as np
 from qdenv.domains.base import make_domain
 from qdenv.generators import Base, CostsConfig, UpdateConfig
 from qdenv.grid import draw
-from qdenv.guidance import existing_moves
+from qdenv.guidance import NUM_SMOOTH, existing_moves
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Search
@@ -23,7 +23,7 @@ from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.study.elites import make_costs_drawer
 from qdenv.study.engine import run_seeds
 from qdenv.study.options import fleet_tasks
-from qdenv.study.plans import Plan
+from qdenv.study.plans import Plan, guide
 from qdenv.types import Floor, InputError, look_up
 
 JUDGES = tuple(range(1_000_000, 1_000_010))  # seeds by which what was found is compared
@@ -32,7 +32,6 @@ JUDGES = tuple(range(1_000_000, 1_000_010))  # seeds by which what was found is 
 # evaluations on the hand-made warehouse its mean moves 8.06, those of isotropic and of separable
 # CMA-ES 7.94 (one search each).
 _ALGORITHM = CmaEsConfig(batch=40, sigma0=0.1, strategy="CR_FM_NES")
-_FAR = 0.3  # sigma0 of costs that no search has found before
 
 
 def guide_config(
@@ -41,8 +40,8 @@ def guide_config(
     """Configure the search of costs for a plan: all its tiles must stay.
 
     `method` is "costs", which searches the costs themselves, or "update", which searches the
-    weights of an update model. `base` names the guidance where it begins: none and crisscross are
-    known to the generator, any other is given by `start_at`. The `numbers` are evaluations,
+    weights of an update model. `base` names the guidance where it begins: one of `Base` is known to
+    the generator, any other is given by `start_at`. The `numbers` are evaluations,
     simulations and seed. Raises InputError if no fleet can work there.
     """
     named = base in get_args(Base)
@@ -60,12 +59,23 @@ def guide_config(
     axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
     return RunConfig(
         evaluation=EvaluationConfig(settings, generator, numbers["simulations"], alpha=0.0),
-        algorithm=replace(_ALGORITHM, sigma0=_FAR) if named and method == "costs" else _ALGORITHM,
+        algorithm=_ALGORITHM,
         evaluations=numbers["evaluations"],
         archive=tuple(axes),
         seed=numbers["seed"],
         start="" if named else base,
     )
+
+
+def best_base(plan: Plan, fleet: FleetConfig) -> str:
+    """Return the name of the guidance, among those where a search can begin, that moves most."""
+
+    def moved(base: str) -> float:
+        floor = guide(plan, base).floor
+        done = run_seeds(floor, plan.domain.simulator.tasks, fleet, JUDGES[:3])
+        return float(np.mean([one.throughput for one in done.runs]))
+
+    return max(get_args(Base), key=moved)
 
 
 def start_at(plan: Plan) -> np.ndarray:
@@ -77,7 +87,8 @@ def start_at(plan: Plan) -> np.ndarray:
     moves = existing_moves(plan.domain.drivable(plan.layout))
     costs = np.ones(moves.shape) if plan.costs is None else plan.costs
     usual = costs[moves & np.isfinite(costs)].mean()
-    return np.log(np.minimum(costs[moves] / usual, 10)).astype(np.float32)
+    single = np.log(np.minimum(costs[moves] / usual, 10))
+    return np.pad(single, (0, NUM_SMOOTH)).astype(np.float32)
 
 
 def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
