@@ -21,7 +21,7 @@ import os
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +31,7 @@ from experiments.program import run_program
 from experiments.runs import whole_run
 from qdenv.domains.base import DOMAINS, Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.generators import Base
 from qdenv.guidance import unscaled_costs
 from qdenv.io.layouts import write_layout
 from qdenv.ops.runs import generate
@@ -165,12 +166,14 @@ def read_floor(case: Case) -> Plan:
     return Plan(case.floor, grown.layout, grown.domain, assumed=False)
 
 
-def find_costs(name: str, seed: int, simulations: int) -> None:
+def find_costs(name: str, seed: int, simulations: int, smooth: bool) -> None:
     """Find costs for the floor of a case, one simulation an evaluation, and write them."""
     case: Case = look_up(CASES, name, "case")
     plan = read_floor(case)
     numbers = {"evaluations": simulations, "simulations": 1, "seed": seed}
-    config = guide_config(plan, case.fleet, "costs", best_base(plan, case.fleet), **numbers)
+    config = guide_config(
+        plan, case.fleet, "costs", best_base(plan, case.fleet), smooth=smooth, **numbers
+    )
     run = whole_run(config, Path("runs/guidance") / f"{name}-{seed}", report=print)
     costs, judged = find_guidance(run)
     free = plan.domain.drivable(plan.layout)
@@ -190,7 +193,7 @@ def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
     """Simulate a case under each guidance; the rows are named CASE/GUIDANCE."""
     case: Case = look_up(CASES, name, "case")
     plan = read_floor(case)
-    guidances: dict[str, Any] = {"none": "none", "crisscross": "crisscross"}
+    guidances: dict[str, Any] = {name: name for name in get_args(Base)}
     if case.graph:
         guidances["graph"] = published(case.graph)
     found = {path.stem.rpartition("-"): path for path in sorted(FOUND.glob("*.json"))}
@@ -207,6 +210,7 @@ def main(
     seeds: int = 10,
     out: Path = Path("runs/guidance.csv"),
     search: int = 0,
+    smooth: bool = False,
 ) -> None:
     """Simulate floors without guidance, with the published one and with ours.
 
@@ -216,11 +220,12 @@ def main(
         seeds: number of runs of each, or of searches.
         out: table to write.
         search: simulations of a search of costs for each case and seed, in place of the table.
+        smooth: whether these searches vary smooth factors, too.
     """
     register()
     if search:
         for name, seed in itertools.product(cases, range(seeds)):
-            find_costs(name, seed, search)
+            find_costs(name, seed, search, smooth)
         return
     rows = [
         row

@@ -83,7 +83,7 @@ class GuidedNcaConfig(NcaConfig):
 
     base: Base = "crisscross"  # the costs that it draws factors of
     # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
-    smooth: bool = True
+    smooth: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class CostsConfig(Ranged):
     floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
     base: Base = "crisscross"  # the costs from which the search begins
     # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
-    smooth: bool = True
+    smooth: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class UpdateConfig(Ranged):
     hidden: PositiveInt = 16  # channels of its hidden layers
     base: Base = "crisscross"  # the costs that are updated first
     # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
-    smooth: bool = True
+    smooth: bool = False
 
 
 @dataclass(frozen=True)

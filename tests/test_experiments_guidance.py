@@ -1,11 +1,13 @@
 """The study of guidance at a toy size, on a floor of our own in place of the published ones."""
 
 import json
+from typing import get_args
 
 import pytest
 from small_warehouse import ROWS
 
 from experiments import guidance
+from qdenv.generators import Base
 from qdenv.io.records import read_rows
 from qdenv.types import InputError
 
@@ -26,6 +28,8 @@ def test_a_case_is_simulated_under_each_guidance(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("QDENV_STUDY_DATA", str(tmp_path))
     guidance.main(("toy",), "4,8", 2, tmp_path / "rows.csv")
     rows = list(read_rows(tmp_path / "rows.csv"))
-    assert [row["layout"] for row in rows] == ["toy/none"] * 2 + ["toy/crisscross"] * 2
+    assert [row["layout"] for row in rows] == [
+        f"toy/{name}" for name in get_args(Base) for _ in range(2)
+    ]
     assert all(float(row["mean_of_all"]) > 0 for row in rows)
     assert "| toy | crisscross | 8 |" in capsys.readouterr().out

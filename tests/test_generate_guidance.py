@@ -61,7 +61,7 @@ def test_a_floor_that_stands_begins_with_the_costs_of_the_base(generator):
 
 
 def test_a_parameter_is_the_logarithm_of_a_factor():
-    guide = GENERATORS.make(CostsConfig(FLOOR, "none", smooth=False), WAREHOUSE.canvas).guide
+    guide = GENERATORS.make(CostsConfig(FLOOR, "none"), WAREHOUSE.canvas).guide
     moves = existing_moves(FREE)
     solution = np.zeros(moves.sum(), np.float32)
     solution[moves[WAIT].sum()] = np.log(2)  # the first way to the right
@@ -89,15 +89,14 @@ def test_smooth_factors_are_quadratic_in_the_position_for_each_move_and_lane(bas
 
 @pytest.mark.parametrize("config", [CostsConfig(FLOOR), UpdateConfig(1), GuidedNcaConfig(steps=2)])
 def test_a_solution_ends_with_its_smooth_factors(config):
-    generator = GENERATORS.make(config, WAREHOUSE.canvas)
+    generator = GENERATORS.make(replace(config, smooth=True), WAREHOUSE.canvas)
+    assert generator.size == GENERATORS.make(config, WAREHOUSE.canvas).size + NUM_SMOOTH
     solution = np.zeros(generator.size, np.float32)
     smooth = np.random.default_rng(5).normal(0, 0.2, NUM_SMOOTH).astype(np.float32)
     solution[-NUM_SMOOTH:] = smooth
     costs = generator.guide(solution, 2, LAYOUT, lambda costs, number: jnp.ones_like(costs))
     expected = scaled_costs(smooth_logarithms(smooth, LAYOUT.shape, "crisscross"), "crisscross")
     np.testing.assert_array_equal(costs, expected)
-    plain = GENERATORS.make(replace(config, smooth=False), WAREHOUSE.canvas)
-    assert plain.size == generator.size - NUM_SMOOTH
 
 
 def test_the_base_is_what_fixed_costs_make_of_it_but_for_the_scale():
@@ -113,9 +112,7 @@ def test_costs_without_a_floor_are_refused():
 
 
 def test_an_automaton_grows_its_costs_with_the_tiles_and_the_frame_has_the_nearest():
-    generator = GENERATORS.make(
-        GuidedNcaConfig(steps=4, hidden=4, base="none", smooth=False), WAREHOUSE.canvas
-    )
+    generator = GENERATORS.make(GuidedNcaConfig(steps=4, hidden=4, base="none"), WAREHOUSE.canvas)
     solution = np.random.default_rng(1).normal(0, 0.4, generator.size).astype(np.float32)
     costs = np.asarray(generator.guide(solution, 4, LAYOUT, None))
     assert costs.shape == (5, *LAYOUT.shape)
@@ -173,7 +170,7 @@ def test_moves_are_counted_as_the_recording_shows_them():
 
 
 def test_an_update_reads_the_moves_of_a_simulation_under_the_costs_before():
-    config = UpdateConfig(rounds=2, hidden=3, smooth=False)
+    config = UpdateConfig(rounds=2, hidden=3)
     generator = GENERATORS.make(config, WAREHOUSE.canvas)
     solution = np.random.default_rng(3).normal(0, 0.3, generator.size).astype(np.float32)
     seen = []

@@ -2,15 +2,18 @@
 
 import csv
 import json
+from typing import get_args
 
 import numpy as np
 import pytest
 from small_warehouse import ROWS
 
 import qdenv
+from qdenv.generators import Base
+from qdenv.guidance import NUM_SMOOTH
 from qdenv.ops.guidance import FILE, PICTURE
 from qdenv.study.elites import make_costs_drawer
-from qdenv.study.guides import read_solutions
+from qdenv.study.guides import JUDGES, read_solutions
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -47,6 +50,28 @@ def test_it_leaves_costs_a_picture_and_a_table(found, plan):
         assert again["mean_of_all"] == pytest.approx(float(row["mean_of_all"]), rel=1e-4)
 
 
+def test_a_search_begins_at_what_moves_most_of_the_guidances_that_any_floor_can_have(found, plan):
+    config = qdenv.RunDirectory.open(found[1]).config.evaluation
+    moved = {
+        name: qdenv.simulate(
+            plan, 8, timesteps=40, planner="pibt", seeds=JUDGES[:3], guidance=name, stop=False
+        )["mean_of_all"]
+        for name in get_args(Base)
+    }
+    assert moved[config.generator.base] == max(moved.values()) > min(moved.values())
+
+
+def test_smooth_factors_are_searched_with_single_costs(plan, tmp_path):
+    sizes = {}
+    for smooth in (False, True):
+        out = tmp_path / str(smooth)
+        qdenv.guide(plan, path=out, evaluations=40, smooth=smooth, **FLEET)
+        run = qdenv.RunDirectory.open(out)
+        assert run.config.evaluation.generator.smooth == smooth
+        sizes[smooth] = len(run.best.solution)
+    assert sizes[True] == sizes[False] + NUM_SMOOTH
+
+
 def test_the_better_of_the_mean_and_the_best_is_written(found):
     table, _ = found
     assert set(table.facts["judged"]) == {"mean", "best"}
@@ -72,13 +97,13 @@ def test_a_search_goes_on_from_the_costs_of_another(found, plan, tmp_path):
     run = qdenv.resume(tmp_path / "on", progress=False)
     assert (run.path / FILE).read_bytes() == (tmp_path / "whole" / FILE).read_bytes()
     domain, start = qdenv.make_domain(run.config.evaluation.domain), run.read_start()
-    assert start.std() > 0.1
+    assert start.std() > 0.05
     drawn = make_costs_drawer(run.config.evaluation, domain)(start[None], run.best.layout[None])[0]
     ours = qdenv.read_plan(before).costs
     moves = np.isfinite(ours)
     ratio = drawn[moves] / ours[moves]
-    # The drawn ones are whole numbers, a 64th of the mean apart.
-    np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=0.5 / drawn[moves].min())
+    # Both are whole numbers, a 64th of the mean apart, of different means.
+    np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=1 / drawn[moves].min())
 
 
 def test_an_update_model_serves_a_floor_of_another_size(plan, tmp_path):

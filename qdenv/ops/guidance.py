@@ -71,7 +71,7 @@ def guide(
     """
     given: dict[str, Any] = dict(search)
     minutes, base = given.pop("minutes", None), given.pop("guidance", None)
-    usual = {"evaluations": 2000, "simulations": 1, "seed": 0}
+    usual = {"evaluations": 2000, "simulations": 1, "seed": 0, "smooth": False}
     numbers = {name: given.pop(name, one) for name, one in usual.items()}
     if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
@@ -95,7 +95,7 @@ def guide(
     start = None
     if not named:
         guided = guide_plan(plan, base)
-        start, base = guides.start_at(guided), guided.guidance
+        start, base = guides.start_at(guided, numbers["smooth"]), guided.guidance
     with studies.about(name):
         if base is None and model is None:
             base = guides.best_base(plan, fleet)

@@ -29,7 +29,6 @@ _CHOICES = dict(domain=DOMAINS, generator=GENERATORS, planner=PLANNERS, algorith
 # Settings of runs that were written before these could be chosen: part, its names, what held then.
 _FORMER: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
     ("generator", ("nca", "guided-nca"), {"arithmetic": "float"}),
-    ("generator", ("guided-nca", "costs", "update"), {"smooth": False}),
     ("domain", ("manufacturing",), {"goal_odds": "stations"}),
 )
 

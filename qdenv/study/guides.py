@@ -32,17 +32,18 @@ JUDGES = tuple(range(1_000_000, 1_000_010))  # seeds by which what was found is 
 # evaluations on the hand-made warehouse its mean moves 8.06, those of isotropic and of separable
 # CMA-ES 7.94 (one search each).
 _ALGORITHM = CmaEsConfig(batch=40, sigma0=0.1, strategy="CR_FM_NES")
+_FAR = 0.3  # sigma0 of single costs that no search has found before
 
 
 def guide_config(
-    plan: Plan, fleet: FleetConfig, method: str, base: str, **numbers: int
+    plan: Plan, fleet: FleetConfig, method: str, base: str, *, smooth: bool = False, **numbers: int
 ) -> RunConfig:
     """Configure the search of costs for a plan: all its tiles must stay.
 
     `method` is "costs", which searches the costs themselves, or "update", which searches the
     weights of an update model. `base` names the guidance where it begins: one of `Base` is known to
-    the generator, any other is given by `start_at`. The `numbers` are evaluations,
-    simulations and seed. Raises InputError if no fleet can work there.
+    the generator, any other is given by `start_at`. A `smooth` one also varies smooth factors. The
+    `numbers` are evaluations, simulations and seed. Raises InputError if no fleet can work there.
     """
     named = base in get_args(Base)
     known: Any = base if named else "none"
@@ -50,16 +51,17 @@ def guide_config(
     domain = plan.fitted()
     rows = tuple(draw(domain.drivable(plan.layout).astype(np.int8), "#."))
     generators: dict[str, Any] = {
-        "costs": CostsConfig(rows, known),
-        "update": UpdateConfig(base=known),
+        "costs": CostsConfig(rows, known, smooth),
+        "update": UpdateConfig(base=known, smooth=smooth),
     }
     settings = replace(domain.config, fleet=fleet, keep=tuple(draw(plan.layout, domain.tiles)))
     generator = look_up(generators, method, "method")
     # The measures of a floor that stands are numbers: one cell holds them all.
+    far = named and method == "costs" and not smooth
     axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
     return RunConfig(
         evaluation=EvaluationConfig(settings, generator, numbers["simulations"], alpha=0.0),
-        algorithm=_ALGORITHM,
+        algorithm=replace(_ALGORITHM, sigma0=_FAR) if far else _ALGORITHM,
         evaluations=numbers["evaluations"],
         archive=tuple(axes),
         seed=numbers["seed"],
@@ -78,7 +80,7 @@ def best_base(plan: Plan, fleet: FleetConfig) -> str:
     return max(get_args(Base), key=moved)
 
 
-def start_at(plan: Plan) -> np.ndarray:
+def start_at(plan: Plan, smooth: bool = False) -> np.ndarray:
     """Return the solution of the generator `costs` (float [P]) that gives a plan its costs.
 
     As any of that generator's they are within a factor of ten of their mean: dearer moves, and
@@ -88,7 +90,7 @@ def start_at(plan: Plan) -> np.ndarray:
     costs = np.ones(moves.shape) if plan.costs is None else plan.costs
     usual = costs[moves & np.isfinite(costs)].mean()
     single = np.log(np.minimum(costs[moves] / usual, 10))
-    return np.pad(single, (0, NUM_SMOOTH)).astype(np.float32)
+    return np.pad(single, (0, NUM_SMOOTH * smooth)).astype(np.float32)
 
 
 def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:

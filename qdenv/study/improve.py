@@ -157,7 +157,11 @@ def search_config(
     racks that are moved.
     """
     if section == "lanes":
-        numbers = {"evaluations": evaluations, "simulations": 1, "seed": config.seed}
+        numbers: dict[str, Any] = {
+            "evaluations": evaluations,
+            "simulations": 1,
+            "seed": config.seed,
+        }
         return guide_config(plan, config.searched, "costs", "crisscross", **numbers)
     domain, around = plan.domain, tuple(draw(start, plan.domain.tiles))
     settings = replace(domain.config, fleet=config.searched, around=around)
