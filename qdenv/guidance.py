@@ -158,9 +158,8 @@ def _check_connected(fixed: np.ndarray, free: np.ndarray) -> None:
 def crisscross(traversable: np.ndarray, width: int = 1) -> np.ndarray:
     """Halve the cost of one direction, alternately, in rows and in columns (as published).
 
-    To the right in even lanes, to the left in odd ones; up in even columns, down in odd ones. A
-    lane is a row or column, or of a `width` of two: where aisles are every other row, the next
-    aisle then leads back.
+    To the right in even lanes, to the left in odd ones; up in even columns, down in odd ones. Lanes
+    are `width` rows or columns wide: with two, aisles alternate also where every other row is one.
     """
     costs = np.ones((NUM_MOVES, *traversable.shape))
     rows, cols = (np.arange(size) // width % 2 == 0 for size in traversable.shape)

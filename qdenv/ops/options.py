@@ -168,8 +168,8 @@ class GuideOptions(RunOptions, total=False):
     minutes: PositiveFloat | None  # pause after this many minutes; `qdenv resume` continues
     simulations: PositiveInt  # simulations of each try, with fresh seeds; by default 1
     seed: NonNegativeInt  # seed of the search; by default 0
-    # costs of moves where the search begins, a name or a file as of `simulate`; by default those in
-    # the layout file, else the best of none, crisscross and crisscross-pairs
+    # costs of moves where the search begins: a name or a file, as for `simulate`; by default those
+    # in the layout file, else the best of none, crisscross and crisscross-pairs
     guidance: Guidance
     # also vary factors that are smooth over the floor: for wide open floors full of robots
     smooth: bool
