@@ -170,10 +170,8 @@ def find_costs(name: str, seed: int, simulations: int, smooth: bool) -> None:
     """Find costs for the floor of a case, one simulation an evaluation, and write them."""
     case: Case = look_up(CASES, name, "case")
     plan = read_floor(case)
-    numbers = {"evaluations": simulations, "simulations": 1, "seed": seed}
-    config = guide_config(
-        plan, case.fleet, "costs", best_base(plan, case.fleet), smooth=smooth, **numbers
-    )
+    base = best_base(plan, case.fleet)
+    config = guide_config(plan, case.fleet, "costs", base, simulations, 1, seed, smooth)
     run = whole_run(config, Path("runs/guidance") / f"{name}-{seed}", report=print)
     costs, judged = find_guidance(run)
     free = plan.domain.drivable(plan.layout)
@@ -193,7 +191,7 @@ def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
     """Simulate a case under each guidance; the rows are named CASE/GUIDANCE."""
     case: Case = look_up(CASES, name, "case")
     plan = read_floor(case)
-    guidances: dict[str, Any] = {name: name for name in get_args(Base)}
+    guidances: dict[str, Any] = {base: base for base in get_args(Base)}
     if case.graph:
         guidances["graph"] = published(case.graph)
     found = {path.stem.rpartition("-"): path for path in sorted(FOUND.glob("*.json"))}

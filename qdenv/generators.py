@@ -82,8 +82,7 @@ class GuidedNcaConfig(NcaConfig):
     """The numbers of an automaton that draws the costs of moves in five more channels."""
 
     base: Base = "crisscross"  # the costs that it draws factors of
-    # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
-    smooth: bool = False
+    smooth: bool = False  # whether a solution ends with numbers of `guidance.smooth_logarithms`
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,7 @@ class CostsConfig(Ranged):
     # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
     floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
     base: Base = "crisscross"  # the costs from which the search begins
-    # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
-    smooth: bool = False
+    smooth: bool = False  # whether a solution ends with numbers of `guidance.smooth_logarithms`
 
 
 @dataclass(frozen=True)
@@ -112,8 +110,7 @@ class UpdateConfig(Ranged):
     kernel_sizes: tuple[int, ...] = (3, 1, 3)  # widths of the kernels of its convolutions, in cells
     hidden: PositiveInt = 16  # channels of its hidden layers
     base: Base = "crisscross"  # the costs that are updated first
-    # whether a solution ends with the numbers of smooth factors (`guidance.smooth_logarithms`)
-    smooth: bool = False
+    smooth: bool = False  # whether a solution ends with numbers of `guidance.smooth_logarithms`
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ NUM_SMOOTH = 54  # numbers of `smooth_logarithms`
 # How much more they count than the logarithm of a single cost: a search first finds where traffic
 # should go, then each turn of its way.
 _SMOOTHER = 3
-_WIDTHS = {"crisscross-pairs": 2}  # rows or columns of a lane of a guidance, where not one
+_WIDTHS = {"none": 1, "crisscross": 1, "crisscross-pairs": 2}  # rows or columns of a lane
 _CLOSED = 99.0  # doublings of the cost, of a move that is not allowed
 BUCKETS = 1024  # above every whole cost of a move
 
@@ -78,7 +78,7 @@ def scaled_costs(logarithms: Array, base: str) -> jax.Array:
     return jnp.clip(jnp.rint(start * _ONE * factors), 1, BUCKETS - 1).astype(jnp.int32)
 
 
-def smooth_logarithms(numbers: Array, shape: tuple[int, ...], base: str) -> Array:
+def smooth_logarithms(numbers: Array, shape: tuple[int, ...], base: str) -> jax.Array:
     """Return logarithms of factors of costs that vary smoothly over a floor of any size; traceable.
 
     Waiting has a quadratic function of the position, and so has each direction in even and in odd
@@ -87,15 +87,13 @@ def smooth_logarithms(numbers: Array, shape: tuple[int, ...], base: str) -> Arra
     their direction and strength. Returns float [5, H, W].
     """
     if len(numbers) == 0:
-        return np.zeros((NUM_MOVES, *shape), np.float32)
+        return jnp.zeros((NUM_MOVES, *shape))
     rows, cols = np.indices(shape)
     x, y = (2 * cols + 1) / shape[1] - 1, (2 * rows + 1) / shape[0] - 1  # -1 to 1 over the floor
     terms = jnp.asarray(np.stack([np.ones(shape), x, y, x * x, x * y, y * y]), jnp.float32)
     values = jnp.tensordot(_SMOOTHER * jnp.reshape(numbers, (-1, len(terms))), terms, 1)
-    width = _WIDTHS.get(base, 1)
-    odd = np.zeros((NUM_MOVES - 1, *shape), bool)
-    odd[[RIGHT - 1, LEFT - 1]] = rows // width % 2
-    odd[[DOWN - 1, UP - 1]] = cols // width % 2
+    lines = {RIGHT: rows, LEFT: rows, DOWN: cols, UP: cols}
+    odd = np.stack([lines[move] // _WIDTHS[base] % 2 == 1 for move in range(1, NUM_MOVES)])
     moves = jnp.where(odd, values[NUM_MOVES:], values[1:NUM_MOVES])
     return jnp.concatenate([values[:1], moves])
 
@@ -170,7 +168,9 @@ def crisscross(traversable: np.ndarray, width: int = 1) -> np.ndarray:
 GUIDANCE: dict[str, Guidance] = {
     "none": lambda traversable, legs: None,
     "crisscross": lambda traversable, legs: crisscross(traversable),
-    "crisscross-pairs": lambda traversable, legs: crisscross(traversable, 2),
+    "crisscross-pairs": lambda traversable, legs: crisscross(
+        traversable, _WIDTHS["crisscross-pairs"]
+    ),
     # Late: these import a compiler.
     "traffic-flow": lambda *floor: pkgutil.resolve_name("qdenv.highways:traffic_flow")(*floor),
     "human-cost": lambda *floor: pkgutil.resolve_name("qdenv.highways:human_cost")(*floor),

@@ -170,8 +170,7 @@ def test_moves_are_counted_as_the_recording_shows_them():
 
 
 def test_an_update_reads_the_moves_of_a_simulation_under_the_costs_before():
-    config = UpdateConfig(rounds=2, hidden=3)
-    generator = GENERATORS.make(config, WAREHOUSE.canvas)
+    generator = GENERATORS.make(UpdateConfig(rounds=2, hidden=3), WAREHOUSE.canvas)
     solution = np.random.default_rng(3).normal(0, 0.3, generator.size).astype(np.float32)
     seen = []
 

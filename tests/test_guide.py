@@ -30,7 +30,7 @@ def plan(tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(plan, tmp_path_factory):
     path = tmp_path_factory.mktemp("guide") / "run"
-    return qdenv.guide(plan, path=path, evaluations=80, **FLEET), path
+    return qdenv.guide(plan, path=path, guidance="crisscross", evaluations=80, **FLEET), path
 
 
 def test_it_leaves_costs_a_picture_and_a_table(found, plan):
@@ -50,8 +50,11 @@ def test_it_leaves_costs_a_picture_and_a_table(found, plan):
         assert again["mean_of_all"] == pytest.approx(float(row["mean_of_all"]), rel=1e-4)
 
 
-def test_a_search_begins_at_what_moves_most_of_the_guidances_that_any_floor_can_have(found, plan):
-    config = qdenv.RunDirectory.open(found[1]).config.evaluation
+def test_a_search_begins_at_what_moves_most_of_the_guidances_that_any_floor_can_have(
+    plan, tmp_path
+):
+    qdenv.guide(plan, path=tmp_path / "run", evaluations=40, **FLEET)
+    config = qdenv.RunDirectory.open(tmp_path / "run").config.evaluation
     moved = {
         name: qdenv.simulate(
             plan, 8, timesteps=40, planner="pibt", seeds=JUDGES[:3], guidance=name, stop=False
@@ -79,7 +82,8 @@ def test_the_better_of_the_mean_and_the_best_is_written(found):
 
 def test_a_pause_and_going_on_end_where_one_search_does(found, plan, tmp_path):
     _, whole = found
-    qdenv.guide(plan, path=tmp_path / "parts", evaluations=80, minutes=1e-9, **FLEET)
+    search = {"guidance": "crisscross", "evaluations": 80, "minutes": 1e-9}
+    qdenv.guide(plan, path=tmp_path / "parts", **search, **FLEET)
     run = qdenv.RunDirectory.open(tmp_path / "parts")
     assert run.read_metrics()[-1].evaluations == 40
     run = qdenv.resume(run, progress=False)
@@ -97,13 +101,21 @@ def test_a_search_goes_on_from_the_costs_of_another(found, plan, tmp_path):
     run = qdenv.resume(tmp_path / "on", progress=False)
     assert (run.path / FILE).read_bytes() == (tmp_path / "whole" / FILE).read_bytes()
     domain, start = qdenv.make_domain(run.config.evaluation.domain), run.read_start()
-    assert start.std() > 0.05
+    assert start.std() > 0.1
     drawn = make_costs_drawer(run.config.evaluation, domain)(start[None], run.best.layout[None])[0]
     ours = qdenv.read_plan(before).costs
     moves = np.isfinite(ours)
     ratio = drawn[moves] / ours[moves]
-    # Both are whole numbers, a 64th of the mean apart, of different means.
-    np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=1 / drawn[moves].min())
+    # The drawn ones are whole numbers, a 64th of the mean apart.
+    np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=0.5 / drawn[moves].min())
+
+
+def test_a_search_begins_at_costs_in_an_array(found, plan, tmp_path):
+    costs = qdenv.read_plan(found[1] / FILE).costs
+    qdenv.guide(plan, path=tmp_path / "array", guidance=costs, evaluations=40, **FLEET)
+    qdenv.guide(plan, path=tmp_path / "file", guidance=found[1] / FILE, evaluations=40, **FLEET)
+    starts = [qdenv.RunDirectory.open(tmp_path / name).read_start() for name in ("array", "file")]
+    np.testing.assert_array_equal(*starts)
 
 
 def test_an_update_model_serves_a_floor_of_another_size(plan, tmp_path):

@@ -77,7 +77,8 @@ def guide(
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
     plan = options.with_tasks(args.read_plan(layout, options.domain))
-    named = base in get_args(Base) or (base is None and (plan.costs is None or method == "update"))
+    named = isinstance(base, str) and base in get_args(Base)
+    named = named or (base is None and (plan.costs is None or method == "update"))
     if not named and method == "update":
         known = ", ".join(get_args(Base))
         raise InputError(f"guidance {base}: an update model begins at one of {known}")

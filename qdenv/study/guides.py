@@ -24,6 +24,7 @@ from qdenv.study.elites import make_costs_drawer
 from qdenv.study.engine import run_seeds
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan, guide
+from qdenv.study.table import Trial, compare
 from qdenv.types import Floor, InputError, look_up
 
 JUDGES = tuple(range(1_000_000, 1_000_010))  # seeds by which what was found is compared
@@ -36,14 +37,21 @@ _FAR = 0.3  # sigma0 of single costs that no search has found before
 
 
 def guide_config(
-    plan: Plan, fleet: FleetConfig, method: str, base: str, *, smooth: bool = False, **numbers: int
+    plan: Plan,
+    fleet: FleetConfig,
+    method: str,
+    base: str,
+    evaluations: int,
+    simulations: int,
+    seed: int,
+    smooth: bool = False,
 ) -> RunConfig:
     """Configure the search of costs for a plan: all its tiles must stay.
 
     `method` is "costs", which searches the costs themselves, or "update", which searches the
     weights of an update model. `base` names the guidance where it begins: one of `Base` is known to
-    the generator, any other is given by `start_at`. A `smooth` one also varies smooth factors. The
-    `numbers` are evaluations, simulations and seed. Raises InputError if no fleet can work there.
+    the generator, any other is given by `start_at`. A `smooth` search also varies smooth factors of
+    costs. Raises InputError if no fleet can work there.
     """
     named = base in get_args(Base)
     known: Any = base if named else "none"
@@ -57,34 +65,30 @@ def guide_config(
     settings = replace(domain.config, fleet=fleet, keep=tuple(draw(plan.layout, domain.tiles)))
     generator = look_up(generators, method, "method")
     # The measures of a floor that stands are numbers: one cell holds them all.
-    far = named and method == "costs" and not smooth
     axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
+    far = named and method == "costs" and not smooth
     return RunConfig(
-        evaluation=EvaluationConfig(settings, generator, numbers["simulations"], alpha=0.0),
+        evaluation=EvaluationConfig(settings, generator, simulations, alpha=0.0),
         algorithm=replace(_ALGORITHM, sigma0=_FAR) if far else _ALGORITHM,
-        evaluations=numbers["evaluations"],
+        evaluations=evaluations,
         archive=tuple(axes),
-        seed=numbers["seed"],
+        seed=seed,
         start="" if named else base,
     )
 
 
 def best_base(plan: Plan, fleet: FleetConfig) -> str:
     """Return the name of the guidance, among those where a search can begin, that moves most."""
-
-    def moved(base: str) -> float:
-        floor = guide(plan, base).floor
-        done = run_seeds(floor, plan.domain.simulator.tasks, fleet, JUDGES[:3])
-        return float(np.mean([one.throughput for one in done.runs]))
-
-    return max(get_args(Base), key=moved)
+    floors = {base: guide(plan, base).floor for base in get_args(Base)}
+    trial = Trial(plan.domain.simulator.tasks, fleet, [fleet.agents], JUDGES[:3])
+    return max(compare(floors, trial), key=lambda row: row.mean_of_all).layout
 
 
 def start_at(plan: Plan, smooth: bool = False) -> np.ndarray:
     """Return the solution of the generator `costs` (float [P]) that gives a plan its costs.
 
     As any of that generator's they are within a factor of ten of their mean: dearer moves, and
-    those that are not allowed, begin there.
+    those that are not allowed, begin there. `smooth` factors begin at one.
     """
     moves = existing_moves(plan.domain.drivable(plan.layout))
     costs = np.ones(moves.shape) if plan.costs is None else plan.costs

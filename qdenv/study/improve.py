@@ -157,12 +157,9 @@ def search_config(
     racks that are moved.
     """
     if section == "lanes":
-        numbers: dict[str, Any] = {
-            "evaluations": evaluations,
-            "simulations": 1,
-            "seed": config.seed,
-        }
-        return guide_config(plan, config.searched, "costs", "crisscross", **numbers)
+        return guide_config(
+            plan, config.searched, "costs", "crisscross", evaluations, 1, config.seed
+        )
     domain, around = plan.domain, tuple(draw(start, plan.domain.tiles))
     settings = replace(domain.config, fleet=config.searched, around=around)
     axis = make_domain(settings).measures[0]

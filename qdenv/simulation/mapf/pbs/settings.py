@@ -23,7 +23,7 @@ class PbsConfig(Ranged):
     """
 
     # what an agent does that finds no path past those with precedence over it. "published": it
-    # stays where it is, whoever reserved that, and whoever waits at its start has precedence
+    # stays even if others reserved its cell, and agents that wait at their start take precedence
     # there; so plans never fail, and crowds freeze. "plain": the search tries another order.
     rule: Rule = "published"
     # most nodes of the search tree that are expanded per window, in units of the number of agents;
