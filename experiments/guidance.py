@@ -2,7 +2,7 @@
 
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse empty
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse --agents 100:600:100
-    QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases empty --search 50000 --seeds 5
+    QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases empty --search 800 2000 --seeds 5
     python -m experiments.guidance --cases calm --agents 500,625
 
 Zhang, Jiang, Bhatt, Nikolaidis and Li 2024, "Guidance graph optimization for lifelong multi-agent
@@ -10,8 +10,8 @@ path finding", https://arxiv.org/abs/2402.01446, Table 3: T = 1000, PIBT plans e
 priority-based search ten timesteps every five. The floors and graphs are its authors' and no part
 of this repository: they are read from the folder that QDENV_STUDY_DATA names. The case `calm` is a
 floor of the zoo. Costs that were found by the search of `qdenv guide` are in
-results/guidance/CASE-SEED.json; further ones are made by --search, in runs/guidance/CASE-SEED,
-where an interrupted search goes on.
+results/guidance/CASE-SEED.json; further ones are made by --search, in runs/guidance, where an
+interrupted search goes on.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
-from qdenv.study.guides import best_base, find_guidance, guide_config
+from qdenv.study.guides import best_base, find_guidance, guide_config, start_at
 from qdenv.study.options import parse_counts
 from qdenv.study.plans import Plan, guide, read_plan
 from qdenv.study.table import Row, Trial, compare, write_rows
@@ -166,23 +166,30 @@ def read_floor(case: Case) -> Plan:
     return Plan(case.floor, grown.layout, grown.domain, assumed=False)
 
 
-def find_costs(name: str, seed: int, simulations: int, smooth: bool) -> None:
-    """Find costs for the floor of a case, one simulation an evaluation, and write them."""
+def find_costs(name: str, seed: int, simulations: tuple[int, int]) -> None:
+    """Find costs for the floor of a case, one simulation an evaluation, and write them.
+
+    A search of smooth factors comes first, then one of the cost of each move that begins there.
+    """
     case: Case = look_up(CASES, name, "case")
     plan = read_floor(case)
-    base = best_base(plan, case.fleet)
-    config = guide_config(plan, case.fleet, "costs", base, simulations, 1, seed, smooth)
-    run = whole_run(config, Path("runs/guidance") / f"{name}-{seed}", report=print)
-    costs, judged = find_guidance(run)
     free = plan.domain.drivable(plan.layout)
-    facts = {"domain": case.domain, "agents": case.fleet.agents, "simulations": simulations}
+    folder, base, start = Path("runs/guidance"), best_base(plan, case.fleet), None
+    for method, number in zip(("smooth", "costs"), simulations, strict=True):
+        if number:
+            config = guide_config(plan, case.fleet, method, base, number, 1, seed)
+            run = whole_run(config, folder / f"{name}-{method}-{seed}", report=print, start=start)
+            costs, judged = find_guidance(run)
+            guided = plan._replace(costs=unscaled_costs(costs, free))
+            base, start = str(run), start_at(guided)
+    facts = {"domain": case.domain, "agents": case.fleet.agents, "simulations": sum(simulations)}
     FOUND.mkdir(parents=True, exist_ok=True)
     write_layout(
         FOUND / f"{name}-{seed}.json",
         plan.layout,
         plan.domain.tiles,
         plan.domain.meanings,
-        unscaled_costs(costs, free),
+        guided.costs,
         **facts | {"judged": max(judged.values())},
     )
 
@@ -207,8 +214,7 @@ def main(
     agents: str = "",
     seeds: int = 10,
     out: Path = Path("runs/guidance.csv"),
-    search: int = 0,
-    smooth: bool = False,
+    search: tuple[int, int] = (0, 0),
 ) -> None:
     """Simulate floors without guidance, with the published one and with ours.
 
@@ -217,13 +223,13 @@ def main(
         agents: numbers of agents: 200, or 150,200, or 50:400:50; as published unless given.
         seeds: number of runs of each, or of searches.
         out: table to write.
-        search: simulations of a search of costs for each case and seed, in place of the table.
-        smooth: whether these searches vary smooth factors, too.
+        search: simulations of two searches for each case and seed, in place of the table: of
+            smooth factors of costs, and of the cost of each move from there on.
     """
     register()
-    if search:
+    if any(search):
         for name, seed in itertools.product(cases, range(seeds)):
-            find_costs(name, seed, search, smooth)
+            find_costs(name, seed, search)
         return
     rows = [
         row

@@ -18,7 +18,7 @@ from qdenv.ops.costs import cpu_seconds
 from qdenv.run.config import RunConfig, override
 from qdenv.run.directory import Metrics, RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.run.loop import resume
+from qdenv.run.loop import resume, train
 from qdenv.types import Measure
 from qdenv.view.archive import scatter_objectives
 
@@ -135,14 +135,15 @@ def whole_run(
     path: Path,
     execution: Execution = Execution(),  # noqa: B008 (frozen)
     report: Callable[[str], None] = lambda line: None,
+    start: np.ndarray | None = None,
 ) -> RunDirectory:
-    """Return the finished run of a folder; begin or continue it where it is not.
+    """Return the finished run of a folder; begin (at `start`) or continue it where it is not.
 
     Raises InputError if the folder holds a run with other settings.
     """
     if not (path / "config.json").exists():
         report(f"{path}: begins; an interruption loses minutes at most")
-        return qdenv.train(config, path, execution=execution)
+        return train(config, path, execution=execution, start=start)
     run = RunDirectory.open(path)
     if replace(run.config, evaluations=config.evaluations) != config:
         raise qdenv.InputError(f"{path}: a run with other settings: move it away")

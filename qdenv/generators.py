@@ -86,14 +86,24 @@ class GuidedNcaConfig(NcaConfig):
 
 
 @dataclass(frozen=True)
+class SmoothConfig(Ranged):
+    """The numbers of the generator of costs that vary smoothly over a floor of any size.
+
+    A solution is the numbers of `guidance.smooth_logarithms`.
+    """
+
+    draws: ClassVar[bool] = False  # tiles: nothing is repaired
+    base: Base = "crisscross"  # the costs from which the search begins
+
+
+@dataclass(frozen=True)
 class CostsConfig(Ranged):
     """The numbers of the generator of a floor that stands: a solution is the costs themselves."""
 
-    draws: ClassVar[bool] = False  # tiles: nothing is repaired
+    draws: ClassVar[bool] = False
     # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
     floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
     base: Base = "crisscross"  # the costs from which the search begins
-    smooth: bool = False  # whether a solution ends with numbers of `guidance.smooth_logarithms`
 
 
 @dataclass(frozen=True)
@@ -110,7 +120,6 @@ class UpdateConfig(Ranged):
     kernel_sizes: tuple[int, ...] = (3, 1, 3)  # widths of the kernels of its convolutions, in cells
     hidden: PositiveInt = 16  # channels of its hidden layers
     base: Base = "crisscross"  # the costs that are updated first
-    smooth: bool = False  # whether a solution ends with numbers of `guidance.smooth_logarithms`
 
 
 @dataclass(frozen=True)
@@ -132,6 +141,7 @@ GENERATORS = Registry(
         "direct": Entry(DirectConfig, "qdenv.generators:direct"),
         "racks": Entry(RacksConfig, "qdenv.racks:racks"),
         "guided-nca": Entry(GuidedNcaConfig, "qdenv.nca:nca"),
+        "smooth": Entry(SmoothConfig, "qdenv.generators:smooth"),
         "costs": Entry(CostsConfig, "qdenv.generators:costs"),
         "update": Entry(UpdateConfig, "qdenv.nca:update"),
     },
@@ -166,6 +176,18 @@ def draw_nothing(canvas: Canvas) -> Callable[[jax.Array, jax.Array | int], jax.A
     return lambda solutions, steps: jnp.zeros((len(solutions), *shape), jnp.int8)
 
 
+def smooth(config: SmoothConfig, canvas: Canvas) -> Generator:
+    """Make the generator whose parameters are the numbers of costs that vary smoothly."""
+
+    def guide(
+        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
+    ) -> jax.Array:
+        logarithms = smooth_logarithms(solution, layout.shape, config.base)
+        return scaled_costs(logarithms, config.base)
+
+    return Generator(NUM_SMOOTH, 0, draw_nothing(canvas), guide=guide)
+
+
 def costs(config: CostsConfig, canvas: Canvas) -> Generator:
     """Make the generator whose parameters are the logarithms of factors of the costs of moves.
 
@@ -180,10 +202,7 @@ def costs(config: CostsConfig, canvas: Canvas) -> Generator:
     def guide(
         solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
     ) -> jax.Array:
-        single, smooth = solution[: len(places)], solution[len(places) :]
-        logarithms = jnp.zeros(moves.size).at[places].set(single).reshape(moves.shape)
-        logarithms += smooth_logarithms(smooth, layout.shape, config.base)
-        return scaled_costs(logarithms, config.base)
+        logarithms = jnp.zeros(moves.size).at[places].set(solution)
+        return scaled_costs(logarithms.reshape(moves.shape), config.base)
 
-    size = len(places) + NUM_SMOOTH * config.smooth
-    return Generator(size, 0, draw_nothing(canvas), guide=guide)
+    return Generator(len(places), 0, draw_nothing(canvas), guide=guide)

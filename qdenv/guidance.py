@@ -28,7 +28,7 @@ Guidance: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 _ONE = 64  # the mean cost of a move as a whole number: from a 64th to 16 times the mean fits
 _LEAST_ONE = 16  # the same where the dearest move would be dearer than that
 _MOST_SCALED = math.log(10)  # by how much generators change costs at most, as a logarithm
-NUM_SMOOTH = 54  # numbers of `smooth_logarithms`
+NUM_SMOOTH = 30  # numbers of `smooth_logarithms`
 # How much more they count than the logarithm of a single cost: a search first finds where traffic
 # should go, then each turn of its way.
 _SMOOTHER = 3
@@ -81,21 +81,19 @@ def scaled_costs(logarithms: Array, base: str) -> jax.Array:
 def smooth_logarithms(numbers: Array, shape: tuple[int, ...], base: str) -> jax.Array:
     """Return logarithms of factors of costs that vary smoothly over a floor of any size; traceable.
 
-    Waiting has a quadratic function of the position, and so has each direction in even and in odd
-    lanes of the `base`. Three times the `numbers` (float [54], or [0] for factors of one) are their
-    six coefficients. So a few numbers lead traffic away from where all ways cross, and give lanes
-    their direction and strength. Returns float [5, H, W].
+    Each is a quadratic function of the distances from the middle lines of the floor: one for
+    waiting, and one for each direction in even lanes of the `base`, which is that of the direction
+    back in odd lanes. Three times the `numbers` (float [30]) are their six coefficients. So a few
+    numbers lead traffic away from where all ways cross, and give lanes their direction and
+    strength. Returns float [5, H, W].
     """
-    if len(numbers) == 0:
-        return jnp.zeros((NUM_MOVES, *shape))
     rows, cols = np.indices(shape)
-    x, y = (2 * cols + 1) / shape[1] - 1, (2 * rows + 1) / shape[0] - 1  # -1 to 1 over the floor
+    x, y = abs((2 * cols + 1) / shape[1] - 1), abs((2 * rows + 1) / shape[0] - 1)  # 0 to 1
     terms = jnp.asarray(np.stack([np.ones(shape), x, y, x * x, x * y, y * y]), jnp.float32)
-    values = jnp.tensordot(_SMOOTHER * jnp.reshape(numbers, (-1, len(terms))), terms, 1)
-    lines = {RIGHT: rows, LEFT: rows, DOWN: cols, UP: cols}
-    odd = np.stack([lines[move] // _WIDTHS[base] % 2 == 1 for move in range(1, NUM_MOVES)])
-    moves = jnp.where(odd, values[NUM_MOVES:], values[1:NUM_MOVES])
-    return jnp.concatenate([values[:1], moves])
+    even = jnp.tensordot(_SMOOTHER * jnp.reshape(numbers, (NUM_MOVES, -1)), terms, 1)
+    odd_row, odd_col = rows // _WIDTHS[base] % 2 == 1, cols // _WIDTHS[base] % 2 == 1
+    odd = np.stack([np.zeros(shape, bool), odd_row, odd_row, odd_col, odd_col])
+    return jnp.where(odd, even[np.array([0, LEFT, RIGHT, UP, DOWN])], even)
 
 
 def unscaled_costs(fixed: np.ndarray, traversable: np.ndarray) -> np.ndarray:

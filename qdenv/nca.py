@@ -216,11 +216,11 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
         logarithms = 2 * jnp.moveaxis(cells[..., kinds:], -1, 0) - 1
         edges = [(more // 2, more // 2) for more in np.subtract(layout.shape, start.shape[:2])]
         logarithms = jnp.pad(logarithms * math.log(10), ((0, 0), *edges), "edge")
-        base = getattr(config, "base", "")
-        logarithms += smooth_logarithms(solution[size:], layout.shape, base)
+        if more:
+            logarithms += smooth_logarithms(solution[size:], layout.shape, base)
         return scaled_costs(logarithms, base)
 
-    more = NUM_SMOOTH * getattr(config, "smooth", False)
+    base, more = getattr(config, "base", ""), NUM_SMOOTH * getattr(config, "smooth", False)
     return Generator(
         size + more, config.steps, grow, frames=frames, guide=guide if guided else None
     )
@@ -258,8 +258,8 @@ def update(config: UpdateConfig, canvas: Canvas) -> Generator:
     def guide(
         solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
     ) -> jax.Array:
-        weights = unravel(solution[: flat.size])
-        logarithms = smooth_logarithms(solution[flat.size :], layout.shape, config.base)
+        weights = unravel(solution)
+        logarithms = jnp.zeros((NUM_MOVES, *layout.shape))
         for number in range(config.rounds):
             moves = drive(scaled_costs(logarithms, config.base), number)
             free = moves.sum(axis=0) > 0
@@ -270,4 +270,4 @@ def update(config: UpdateConfig, canvas: Canvas) -> Generator:
             logarithms += jnp.moveaxis(change, -1, 0)
         return scaled_costs(logarithms, config.base)
 
-    return Generator(flat.size + NUM_SMOOTH * config.smooth, 0, draw_nothing(canvas), guide=guide)
+    return Generator(flat.size, 0, draw_nothing(canvas), guide=guide)

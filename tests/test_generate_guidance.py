@@ -9,8 +9,15 @@ import pytest
 from small_warehouse import ROWS
 
 from qdenv.domains.base import find_domain, make_domain
-from qdenv.generators import GENERATORS, CostsConfig, GuidedNcaConfig, NcaConfig, UpdateConfig
-from qdenv.grid import LEFT, RIGHT, WAIT, of_tiles, parse
+from qdenv.generators import (
+    GENERATORS,
+    CostsConfig,
+    GuidedNcaConfig,
+    NcaConfig,
+    SmoothConfig,
+    UpdateConfig,
+)
+from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT, of_tiles, parse
 from qdenv.guidance import (
     NUM_SMOOTH,
     crisscross,
@@ -44,7 +51,7 @@ def evaluation(generator):
     return EvaluationConfig(domain, generator, simulations=2, alpha=0.0)
 
 
-@pytest.mark.parametrize("generator", [CostsConfig(FLOOR), UpdateConfig(rounds=2)])
+@pytest.mark.parametrize("generator", [SmoothConfig(), CostsConfig(FLOOR), UpdateConfig(rounds=2)])
 def test_a_floor_that_stands_begins_with_the_costs_of_the_base(generator):
     pipeline = make_pipeline(evaluation(generator))
     nothing = np.zeros((2, pipeline.solution_size), np.float32)
@@ -74,29 +81,32 @@ def test_a_parameter_is_the_logarithm_of_a_factor():
 
 
 @pytest.mark.parametrize("base, width", [("none", 1), ("crisscross", 1), ("crisscross-pairs", 2)])
-def test_smooth_factors_are_quadratic_in_the_position_for_each_move_and_lane(base, width):
+def test_smooth_factors_are_quadratic_in_the_distances_for_each_move_along_a_lane(base, width):
     shape = 5, 7
     numbers = np.random.default_rng(2).normal(size=NUM_SMOOTH).astype(np.float32)
     found = np.asarray(smooth_logarithms(numbers, shape, base))
-    kinds = numbers.reshape(9, 6)  # waiting; right, left, down, up of even lanes, then of odd ones
+    kinds = numbers.reshape(5, 6)  # waiting; right, left, down, up of even lanes
+    back = {WAIT: WAIT, RIGHT: LEFT, LEFT: RIGHT, DOWN: UP, UP: DOWN}
     for move, row, col in np.ndindex(5, *shape):
-        x, y = (2 * col + 1) / shape[1] - 1, (2 * row + 1) / shape[0] - 1
+        x, y = abs(col - 3) / 3.5, abs(row - 2) / 2.5
         lane = (row if move in (RIGHT, LEFT) else col) // width
-        kind = kinds[0 if move == WAIT else move + 4 * (lane % 2)]
+        kind = kinds[back[move] if lane % 2 else move]
         expected = 3 * kind @ [1, x, y, x * x, x * y, y * y]
         assert found[move, row, col] == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize("config", [CostsConfig(FLOOR), UpdateConfig(1), GuidedNcaConfig(steps=2)])
+@pytest.mark.parametrize("config", [SmoothConfig(), GuidedNcaConfig(steps=2, smooth=True)])
 def test_a_solution_ends_with_its_smooth_factors(config):
-    generator = GENERATORS.make(replace(config, smooth=True), WAREHOUSE.canvas)
-    assert generator.size == GENERATORS.make(config, WAREHOUSE.canvas).size + NUM_SMOOTH
+    generator = GENERATORS.make(config, WAREHOUSE.canvas)
     solution = np.zeros(generator.size, np.float32)
     smooth = np.random.default_rng(5).normal(0, 0.2, NUM_SMOOTH).astype(np.float32)
     solution[-NUM_SMOOTH:] = smooth
-    costs = generator.guide(solution, 2, LAYOUT, lambda costs, number: jnp.ones_like(costs))
+    costs = generator.guide(solution, 2, LAYOUT, None)
     expected = scaled_costs(smooth_logarithms(smooth, LAYOUT.shape, "crisscross"), "crisscross")
     np.testing.assert_array_equal(costs, expected)
+    bare = GENERATORS.make(GuidedNcaConfig(steps=2), WAREHOUSE.canvas)
+    guided = GENERATORS.make(GuidedNcaConfig(steps=2, smooth=True), WAREHOUSE.canvas)
+    assert guided.size == bare.size + NUM_SMOOTH
 
 
 def test_the_base_is_what_fixed_costs_make_of_it_but_for_the_scale():

@@ -9,7 +9,7 @@ import pytest
 from small_warehouse import ROWS
 
 import qdenv
-from qdenv.generators import Base
+from qdenv.generators import Base, CostsConfig, SmoothConfig
 from qdenv.guidance import NUM_SMOOTH
 from qdenv.ops.guidance import FILE, PICTURE
 from qdenv.study.elites import make_costs_drawer
@@ -64,15 +64,15 @@ def test_a_search_begins_at_what_moves_most_of_the_guidances_that_any_floor_can_
     assert moved[config.generator.base] == max(moved.values()) > min(moved.values())
 
 
-def test_smooth_factors_are_searched_with_single_costs(plan, tmp_path):
-    sizes = {}
-    for smooth in (False, True):
-        out = tmp_path / str(smooth)
-        qdenv.guide(plan, path=out, evaluations=40, smooth=smooth, **FLEET)
-        run = qdenv.RunDirectory.open(out)
-        assert run.config.evaluation.generator.smooth == smooth
-        sizes[smooth] = len(run.best.solution)
-    assert sizes[True] == sizes[False] + NUM_SMOOTH
+def test_smooth_factors_are_searched_first_and_single_costs_from_there(found, plan, tmp_path):
+    first = qdenv.RunDirectory.open(found[1])
+    assert first.config.evaluation.generator == SmoothConfig("crisscross")
+    assert first.best.solution.shape == (NUM_SMOOTH,)
+    qdenv.guide(plan, path=tmp_path, guidance=found[1] / FILE, evaluations=40, **FLEET)
+    then = qdenv.RunDirectory.open(tmp_path)
+    assert isinstance(then.config.evaluation.generator, CostsConfig)
+    costs = qdenv.read_plan(found[1] / FILE).costs
+    assert then.best.solution.shape == (np.isfinite(costs).sum(),)
 
 
 def test_the_better_of_the_mean_and_the_best_is_written(found):
@@ -118,8 +118,9 @@ def test_a_search_begins_at_costs_in_an_array(found, plan, tmp_path):
     np.testing.assert_array_equal(*starts)
 
 
-def test_an_update_model_serves_a_floor_of_another_size(plan, tmp_path):
-    qdenv.guide(plan, method="update", path=tmp_path / "model", evaluations=40, **FLEET)
+@pytest.mark.parametrize("method", ["smooth", "update"])
+def test_what_was_found_serves_a_floor_of_another_size(method, plan, tmp_path):
+    qdenv.guide(plan, method=method, path=tmp_path / "model", evaluations=40, **FLEET)
     larger = tmp_path / "larger.json"
     rows = ["." * len(ROWS[0]), *ROWS, *ROWS[1:]]
     larger.write_text(json.dumps({"layout": rows}))
@@ -138,11 +139,12 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
     (tmp_path / FILE).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(InputError, match="a run would replace it"):
         qdenv.guide(plan, path=tmp_path, model=path, **FLEET)
-    with pytest.raises(InputError, match="no update model was searched there"):
-        qdenv.guide(plan, model=path, path=tmp_path / "out", **FLEET)
+    qdenv.guide(plan, method="costs", path=tmp_path / "single", evaluations=40, **FLEET)
+    with pytest.raises(InputError, match="does not serve other floors"):
+        qdenv.guide(plan, model=tmp_path / "single", path=tmp_path / "out", **FLEET)
     with pytest.raises(InputError, match="simulate fewer agents"):
         qdenv.guide(plan, path=tmp_path / "out", **FLEET | {"agents": 500})
-    with pytest.raises(InputError, match="an update model begins at one of none"):
+    with pytest.raises(InputError, match="the method update begins at one of none"):
         other = FLEET | {"method": "update", "guidance": "human-cost"}
         qdenv.guide(plan, path=tmp_path / "out", **other)
     maze = qdenv.read_plan(plan)._replace(domain=qdenv.find_domain("maze-walls"))

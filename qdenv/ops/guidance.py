@@ -36,7 +36,7 @@ _SHARES = (0.5, 0.75, 1.0, 1.25)  # of the number of agents, for which before an
 def guide(
     layout: args.Source,
     agents: Annotated[PositiveInt | None, arg(aliases=("--robots",))] = None,
-    method: Literal["costs", "update"] = "costs",
+    method: Literal["smooth", "costs", "update"] | None = None,
     model: args.Run | None = None,
     path: args.Folder = None,
     progress: bool = True,
@@ -47,14 +47,15 @@ def guide(
 
     The run's folder gets the costs (guidance.json, for --guidance), a picture of them, and a table
     of the throughput before and after, for several numbers of agents. A search that begins at the
-    costs of another one improves them.
+    costs of another one improves them: first the smooth ones, then each.
 
     Args:
         layout: layout file.
         agents: number of agents (robots); by default that of the plan or its size, else 200.
-        method: search the costs themselves, or the weights of a network that updates costs by
-            where agents drive and also works on other floors and sizes.
-        model: run of the method update, whose network draws the costs, without a search.
+        method: search 30 numbers, of factors that vary smoothly over a floor of any size; the cost
+            of each move; or the weights of a network that updates costs by where agents drive, on
+            any floor. By default smooth; costs where the search begins at costs of a file.
+        model: run of the method smooth or update, which draws the costs, without a search.
         path: folder of the run; by default a new one under runs/.
         progress: show a progress bar.
         execution: where simulations run; the result is the same everywhere.
@@ -67,21 +68,24 @@ def guide(
         InputError: the fleet cannot work on this layout, or the folder holds a run already.
 
     Examples:
-        ``qdenv guide plan.txt --robots 60 --minutes 5``
+        ``qdenv guide plan.txt --robots 60 --minutes 5 --out lanes``
+        ``qdenv guide plan.txt --robots 60 --minutes 5 --guidance lanes/guidance.json``
     """
     given: dict[str, Any] = dict(search)
     minutes, base = given.pop("minutes", None), given.pop("guidance", None)
-    usual = {"evaluations": 2000, "simulations": 1, "seed": 0, "smooth": False}
-    numbers = {name: given.pop(name, one) for name, one in usual.items()}
+    numbers = {
+        name: given.pop(name) for name in ("evaluations", "simulations", "seed") if name in given
+    }
     if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
     plan = options.with_tasks(args.read_plan(layout, options.domain))
     named = isinstance(base, str) and base in get_args(Base)
-    named = named or (base is None and (plan.costs is None or method == "update"))
-    if not named and method == "update":
+    named = named or (base is None and (plan.costs is None or method in ("smooth", "update")))
+    method = method or ("smooth" if named else "costs")
+    if not named and method != "costs":
         known = ", ".join(get_args(Base))
-        raise InputError(f"guidance {base}: an update model begins at one of {known}")
+        raise InputError(f"guidance {base}: the method {method} begins at one of {known}")
     name = args.name_of(layout)
     agents, timesteps, note = options.usual(plan, agents)
     stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -96,7 +100,7 @@ def guide(
     start = None
     if not named:
         guided = guide_plan(plan, base)
-        start, base = guides.start_at(guided, numbers["smooth"]), guided.guidance
+        start, base = guides.start_at(guided), guided.guidance
     with studies.about(name):
         if base is None and model is None:
             base = guides.best_base(plan, fleet)
@@ -109,7 +113,7 @@ def guide(
         costs, judged = guides.find_guidance(args.open_run(model), plan, fleet)
         path.mkdir(parents=True, exist_ok=True)
         return show_guidance(plan, costs, fleet, path, {"model": str(model), "judged": judged})
-    say(f"{numbers['evaluations']} evaluations into {path}")
+    say(f"{config.evaluations} evaluations into {path}")
     run = loop.train(config, path, progress, execution, minutes or np.inf, start)
     return finish_guide(run, plan.name)
 

@@ -149,6 +149,7 @@ def improve_folder(
 ) -> Table:
     """Go on with what `improve` began, to its end; InputError if the folder is not as it was."""
     from qdenv.study import improve as studies
+    from qdenv.study.guides import find_guidance
 
     name, config = _read_settings(folder)
     if config.ending not in ENDINGS:  # it is part of names that are written
@@ -168,7 +169,7 @@ def improve_folder(
                 say(f"{title}:")
             _search(folder, section, plan, config, progress, execution)
             if section == "lanes":
-                lanes = studies.searched_lanes(plan, folder)
+                lanes, _ = find_guidance(RunDirectory.open(folder / "lanes"))
             found[section] = studies.list_candidates(plan, folder, section, lanes)
         advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
         with Bar("judging") as bar:

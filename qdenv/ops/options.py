@@ -171,8 +171,6 @@ class GuideOptions(RunOptions, total=False):
     # costs of moves where the search begins: a name or a file, as for `simulate`; by default those
     # in the layout file, else the best of none, crisscross and crisscross-pairs
     guidance: Guidance
-    # also vary factors that are smooth over the floor: for wide open floors full of robots
-    smooth: bool
 
 
 class ImproveOptions(RunOptions, total=False):

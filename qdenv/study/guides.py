@@ -8,9 +8,9 @@ from typing import Any, get_args
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.generators import Base, CostsConfig, UpdateConfig
+from qdenv.generators import Base, CostsConfig, SmoothConfig, UpdateConfig
 from qdenv.grid import draw
-from qdenv.guidance import NUM_SMOOTH, existing_moves
+from qdenv.guidance import existing_moves
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Search
@@ -41,17 +41,16 @@ def guide_config(
     fleet: FleetConfig,
     method: str,
     base: str,
-    evaluations: int,
-    simulations: int,
-    seed: int,
-    smooth: bool = False,
+    evaluations: int = 2000,
+    simulations: int = 1,
+    seed: int = 0,
 ) -> RunConfig:
     """Configure the search of costs for a plan: all its tiles must stay.
 
-    `method` is "costs", which searches the costs themselves, or "update", which searches the
-    weights of an update model. `base` names the guidance where it begins: one of `Base` is known to
-    the generator, any other is given by `start_at`. A `smooth` search also varies smooth factors of
-    costs. Raises InputError if no fleet can work there.
+    `method` is "smooth", which searches factors of costs that vary smoothly over the floor,
+    "costs", which searches the costs themselves, or "update", which searches the weights of an
+    update model. `base` names the guidance where it begins: one of `Base` is known to the
+    generator, any other is given by `start_at`. Raises InputError if no fleet can work there.
     """
     named = base in get_args(Base)
     known: Any = base if named else "none"
@@ -59,14 +58,15 @@ def guide_config(
     domain = plan.fitted()
     rows = tuple(draw(domain.drivable(plan.layout).astype(np.int8), "#."))
     generators: dict[str, Any] = {
-        "costs": CostsConfig(rows, known, smooth),
-        "update": UpdateConfig(base=known, smooth=smooth),
+        "smooth": SmoothConfig(known),
+        "costs": CostsConfig(rows, known),
+        "update": UpdateConfig(base=known),
     }
     settings = replace(domain.config, fleet=fleet, keep=tuple(draw(plan.layout, domain.tiles)))
     generator = look_up(generators, method, "method")
     # The measures of a floor that stands are numbers: one cell holds them all.
     axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
-    far = named and method == "costs" and not smooth
+    far = named and method == "costs"
     return RunConfig(
         evaluation=EvaluationConfig(settings, generator, simulations, alpha=0.0),
         algorithm=replace(_ALGORITHM, sigma0=_FAR) if far else _ALGORITHM,
@@ -84,17 +84,16 @@ def best_base(plan: Plan, fleet: FleetConfig) -> str:
     return max(compare(floors, trial), key=lambda row: row.mean_of_all).layout
 
 
-def start_at(plan: Plan, smooth: bool = False) -> np.ndarray:
+def start_at(plan: Plan) -> np.ndarray:
     """Return the solution of the generator `costs` (float [P]) that gives a plan its costs.
 
     As any of that generator's they are within a factor of ten of their mean: dearer moves, and
-    those that are not allowed, begin there. `smooth` factors begin at one.
+    those that are not allowed, begin there.
     """
     moves = existing_moves(plan.domain.drivable(plan.layout))
     costs = np.ones(moves.shape) if plan.costs is None else plan.costs
     usual = costs[moves & np.isfinite(costs)].mean()
-    single = np.log(np.minimum(costs[moves] / usual, 10))
-    return np.pad(single, (0, NUM_SMOOTH * smooth)).astype(np.float32)
+    return np.log(np.minimum(costs[moves] / usual, 10)).astype(np.float32)
 
 
 def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
@@ -117,18 +116,19 @@ def find_guidance(
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Draw the best costs that a search found (int32 [5, H, W]), and how they were judged.
 
-    They are for its own floor, or by an update model for a `plan` on which a `fleet` drives. Raises
-    InputError if no update model was searched there.
+    They are for its own floor, or for a `plan` on which a `fleet` drives. Raises InputError if the
+    costs of each cell were searched there, which no other floor can have.
     """
     config = run.config.evaluation
     if plan is None:
         domain, layout = make_domain(config.domain), run.best.layout
-    elif isinstance(config.generator, UpdateConfig):
+    elif isinstance(config.generator, SmoothConfig | UpdateConfig):
         domain = make_domain(replace(plan.fitted().config, fleet=fleet))
         layout = plan.layout
     else:
         raise InputError(
-            f"{run}: no update model was searched there: `qdenv guide --method update`"
+            f"{run}: what was searched there does not serve other floors: give a run of `qdenv "
+            "guide` with the method smooth or update"
         )
     drawer, tasks = make_costs_drawer(config, domain), domain.simulator.tasks
     assert drawer is not None

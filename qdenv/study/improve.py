@@ -34,8 +34,8 @@ from qdenv.simulation.mapf.goals import BY_SHELF
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.stats import Difference, paired_difference
 from qdenv.study.engine import run_seeds
-from qdenv.study.guides import find_guidance, guide_config
-from qdenv.study.plans import Plan, guide, keep_costs, with_tasks
+from qdenv.study.guides import best_base, guide_config
+from qdenv.study.plans import Plan, guide, with_tasks
 from qdenv.study.recordings import map_run
 from qdenv.types import RepairStatus
 
@@ -157,9 +157,8 @@ def search_config(
     racks that are moved.
     """
     if section == "lanes":
-        return guide_config(
-            plan, config.searched, "costs", "crisscross", evaluations, 1, config.seed
-        )
+        base = best_base(plan, config.searched)
+        return guide_config(plan, config.searched, "smooth", base, evaluations, 1, config.seed)
     domain, around = plan.domain, tuple(draw(start, plan.domain.tiles))
     settings = replace(domain.config, fleet=config.searched, around=around)
     axis = make_domain(settings).measures[0]
@@ -216,7 +215,7 @@ def map_usage(plan: Plan, fleet: FleetConfig) -> np.ndarray:
 def list_candidates(plan: Plan, folder: Path, section: str, lanes: np.ndarray | None) -> list[Plan]:
     """List what a search found, each layout without lanes and with several kinds of them.
 
-    `lanes` are costs of moves that were searched for the plan, float [5, H, W].
+    `lanes` are costs of moves that were searched for the plan, int32 [5, H, W].
     """
     layouts = [plan.layout] if section == "lanes" else best_layouts(folder / section)
     found = []
@@ -224,9 +223,9 @@ def list_candidates(plan: Plan, folder: Path, section: str, lanes: np.ndarray | 
         bare = plan._replace(layout=layout, costs=None, guidance="none")
         found += [bare] * (section != "lanes")
         found.append(guide(bare, "crisscross"))
-        if lanes is not None and section in ("lanes", "racks"):
-            own = keep_costs(plan._replace(costs=lanes), layout)
-            found.append(bare._replace(costs=own, guidance="searched"))
+        if lanes is not None:  # they vary smoothly, so other floors can have them
+            costs = unscaled_costs(lanes, plan.domain.drivable(layout))
+            found.append(bare._replace(costs=costs, guidance="searched"))
     return found
 
 
@@ -235,12 +234,6 @@ def best_layouts(run: Path) -> list[np.ndarray]:
     archive = RunDirectory.open(run).archive
     order = np.argsort(-archive.columns["objective"], kind="stable")[:_CANDIDATES]
     return [archive.columns["repaired"][row] for row in order]
-
-
-def searched_lanes(plan: Plan, folder: Path) -> np.ndarray:
-    """Read the costs of moves that the search of lanes found, float [5, H, W]."""
-    costs, _ = find_guidance(RunDirectory.open(folder / "lanes"))
-    return unscaled_costs(costs, plan.domain.drivable(plan.layout))
 
 
 def judge(
