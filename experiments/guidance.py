@@ -3,7 +3,7 @@
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse empty
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases warehouse --agents 100:600:100
     QDENV_STUDY_DATA=FOLDER python -m experiments.guidance --cases empty --search 800 2000 --seeds 5
-    python -m experiments.guidance --cases calm --agents 500,625
+    python -m experiments.guidance --cases calm --agents 500,640
 
 Zhang, Jiang, Bhatt, Nikolaidis and Li 2024, "Guidance graph optimization for lifelong multi-agent
 path finding", https://arxiv.org/abs/2402.01446, Table 3: T = 1000, PIBT plans every timestep anew,
@@ -139,12 +139,12 @@ CASES = {
     "warehouse-pbs": Case(
         "published-floor", _KIVA, _KIVA, SEARCH, {"crisscross": 5.59, "graph": 6.58}
     ),
-    # As `qdenv guide calm.json --robots 500 --planner pibt --timesteps 1000` drives.
+    # As `qdenv guide calm.json --robots 640 --planner pibt --timesteps 1000` drives.
     "calm": Case(
         "warehouse-even",
         "zoo:warehouse-even/calm",
         "",
-        FleetConfig(500, 1000, planner=PibtConfig()),
+        FleetConfig(640, 1000, planner=PibtConfig()),
         {},
     ),
 }

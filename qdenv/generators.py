@@ -82,7 +82,8 @@ class GuidedNcaConfig(NcaConfig):
     """The numbers of an automaton that draws the costs of moves in five more channels."""
 
     base: Base = "crisscross"  # the costs that it draws factors of
-    smooth: bool = False  # whether a solution ends with numbers of `guidance.smooth_logarithms`
+    # whether they are smooth over the floor: thirty numbers more, in place of the channels
+    smooth: bool = False
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,10 @@ _HALVINGS = 8
 _STEPS = np.arange(-8 * _LOGIT, 8 * _LOGIT) / _LOGIT
 _SIGMOID = (np.round(_OUTPUT / (1 + np.exp(-_STEPS))) / _OUTPUT).astype(np.float32)
 
+# How much more the numbers of smooth costs count than weights: a spread of 0.01 leaves most floors
+# nearly as they are, and lanes still move.
+_QUICKER = 8
+
 
 def round_weights(variables: Any) -> tuple[Any, jax.Array]:
     """Round the weights of an automaton to those of an exact one, halved until sums are exact.
@@ -181,11 +185,13 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
 
     One that is guided grows five more channels, which begin and end between 0 and 1: from a tenth
     of the cost of a move to the tenfold. A cell has the costs that it grew also where the repair
-    changes its tile; those of the frame are the nearest cell's.
+    changes its tile; those of the frame are the nearest cell's. Instead of these channels, `smooth`
+    costs have thirty numbers at the end of the parameters.
     """
     start = seed_canvas(canvas.seed_block, canvas.rows, canvas.cols, canvas.tiles)
     kinds, guided = len(canvas.tiles), isinstance(config, GuidedNcaConfig)
-    if guided:
+    smooth = getattr(config, "smooth", False)
+    if guided and not smooth:
         start = np.pad(start, ((0, 0), (0, 0), (0, NUM_MOVES)), constant_values=0.5)
     size, grow_one = make_automaton(
         start.shape[-1], config.kernel_sizes, config.hidden, config.arithmetic == "exact"
@@ -212,17 +218,19 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     def guide(
         solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
     ) -> jax.Array:
-        cells = grow_one(solution[:size], start, steps)
+        base = getattr(config, "base", "")
+        if smooth:
+            numbers = _QUICKER * solution[size:]
+            return scaled_costs(smooth_logarithms(numbers, layout.shape, base), base)
+        cells = grow_one(solution, start, steps)
         logarithms = 2 * jnp.moveaxis(cells[..., kinds:], -1, 0) - 1
         edges = [(more // 2, more // 2) for more in np.subtract(layout.shape, start.shape[:2])]
         logarithms = jnp.pad(logarithms * math.log(10), ((0, 0), *edges), "edge")
-        if more:
-            logarithms += smooth_logarithms(solution[size:], layout.shape, base)
         return scaled_costs(logarithms, base)
 
-    base, more = getattr(config, "base", ""), NUM_SMOOTH * getattr(config, "smooth", False)
+    size_of_all = size + NUM_SMOOTH * smooth
     return Generator(
-        size + more, config.steps, grow, frames=frames, guide=guide if guided else None
+        size_of_all, config.steps, grow, frames=frames, guide=guide if guided else None
     )
 
 

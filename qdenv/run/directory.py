@@ -359,8 +359,10 @@ def find_start(config: RunConfig) -> np.ndarray | None:
         from qdenv.nca import add_channels  # imports flax
 
         more = {**free, "base": ours.base, "smooth": ours.smooth}
-        solution = add_channels(solution, kinds, NUM_MOVES, theirs.kernel_sizes, theirs.hidden)
-        solution = np.pad(solution, (0, NUM_SMOOTH * ours.smooth))
+        if ours.smooth:
+            solution = np.pad(solution, (0, NUM_SMOOTH))
+        else:
+            solution = add_channels(solution, kinds, NUM_MOVES, theirs.kernel_sizes, theirs.hidden)
         theirs = GuidedNcaConfig(**vars(theirs) | more)
     if ours != theirs:
         names = [GENERATORS.name_of(one) for one in (theirs, ours)]
