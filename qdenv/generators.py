@@ -87,24 +87,15 @@ class GuidedNcaConfig(NcaConfig):
 
 
 @dataclass(frozen=True)
-class SmoothConfig(Ranged):
-    """The numbers of the generator of costs that vary smoothly over a floor of any size.
-
-    A solution is the numbers of `guidance.smooth_logarithms`.
-    """
-
-    draws: ClassVar[bool] = False  # tiles: nothing is repaired
-    base: Base = "crisscross"  # the costs from which the search begins
-
-
-@dataclass(frozen=True)
 class CostsConfig(Ranged):
     """The numbers of the generator of a floor that stands: a solution is the costs themselves."""
 
-    draws: ClassVar[bool] = False
+    draws: ClassVar[bool] = False  # tiles: nothing is repaired
     # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
     floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
     base: Base = "crisscross"  # the costs from which the search begins
+    # whether they are smooth over the floor, which may be of any size: thirty numbers
+    smooth: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,7 +133,6 @@ GENERATORS = Registry(
         "direct": Entry(DirectConfig, "qdenv.generators:direct"),
         "racks": Entry(RacksConfig, "qdenv.racks:racks"),
         "guided-nca": Entry(GuidedNcaConfig, "qdenv.nca:nca"),
-        "smooth": Entry(SmoothConfig, "qdenv.generators:smooth"),
         "costs": Entry(CostsConfig, "qdenv.generators:costs"),
         "update": Entry(UpdateConfig, "qdenv.nca:update"),
     },
@@ -177,23 +167,11 @@ def draw_nothing(canvas: Canvas) -> Callable[[jax.Array, jax.Array | int], jax.A
     return lambda solutions, steps: jnp.zeros((len(solutions), *shape), jnp.int8)
 
 
-def smooth(config: SmoothConfig, canvas: Canvas) -> Generator:
-    """Make the generator whose parameters are the numbers of costs that vary smoothly."""
-
-    def guide(
-        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
-    ) -> jax.Array:
-        logarithms = smooth_logarithms(solution, layout.shape, config.base)
-        return scaled_costs(logarithms, config.base)
-
-    return Generator(NUM_SMOOTH, 0, draw_nothing(canvas), guide=guide)
-
-
 def costs(config: CostsConfig, canvas: Canvas) -> Generator:
     """Make the generator whose parameters are the logarithms of factors of the costs of moves.
 
-    They are in the order of the moves, waiting first, and the cells row by row, without the moves
-    that do not exist. Raises InputError if no floor is stated.
+    They are in the order of the moves that exist, waiting first, and the cells row by row; smooth
+    costs have those of `smooth_logarithms`. Raises InputError if no floor is stated.
     """
     if not config.floor:
         raise InputError("the generator costs needs a floor that stands: use qdenv guide")
@@ -203,7 +181,11 @@ def costs(config: CostsConfig, canvas: Canvas) -> Generator:
     def guide(
         solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
     ) -> jax.Array:
-        logarithms = jnp.zeros(moves.size).at[places].set(solution)
-        return scaled_costs(logarithms.reshape(moves.shape), config.base)
+        if config.smooth:
+            logarithms = smooth_logarithms(solution, layout.shape, config.base)
+        else:
+            logarithms = jnp.zeros(moves.size).at[places].set(solution).reshape(moves.shape)
+        return scaled_costs(logarithms, config.base)
 
-    return Generator(len(places), 0, draw_nothing(canvas), guide=guide)
+    size = NUM_SMOOTH if config.smooth else len(places)
+    return Generator(size, 0, draw_nothing(canvas), guide=guide)

@@ -228,10 +228,8 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
         logarithms = jnp.pad(logarithms * math.log(10), ((0, 0), *edges), "edge")
         return scaled_costs(logarithms, base)
 
-    size_of_all = size + NUM_SMOOTH * smooth
-    return Generator(
-        size_of_all, config.steps, grow, frames=frames, guide=guide if guided else None
-    )
+    total = size + NUM_SMOOTH * smooth
+    return Generator(total, config.steps, grow, frames=frames, guide=guide if guided else None)
 
 
 class Update(nn.Module):

@@ -14,7 +14,6 @@ from qdenv.generators import (
     CostsConfig,
     GuidedNcaConfig,
     NcaConfig,
-    SmoothConfig,
     UpdateConfig,
 )
 from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT, of_tiles, parse
@@ -51,7 +50,9 @@ def evaluation(generator):
     return EvaluationConfig(domain, generator, simulations=2, alpha=0.0)
 
 
-@pytest.mark.parametrize("generator", [SmoothConfig(), CostsConfig(FLOOR), UpdateConfig(rounds=2)])
+@pytest.mark.parametrize(
+    "generator", [CostsConfig(FLOOR), CostsConfig(FLOOR, smooth=True), UpdateConfig(rounds=2)]
+)
 def test_a_floor_that_stands_begins_with_the_costs_of_the_base(generator):
     pipeline = make_pipeline(evaluation(generator))
     nothing = np.zeros((2, pipeline.solution_size), np.float32)
@@ -96,7 +97,8 @@ def test_smooth_factors_are_quadratic_in_the_distances_for_each_move_along_a_lan
 
 
 @pytest.mark.parametrize(
-    "config, factor", [(SmoothConfig(), 1), (GuidedNcaConfig(steps=2, smooth=True), 8)]
+    "config, factor",
+    [(CostsConfig(FLOOR, smooth=True), 1), (GuidedNcaConfig(steps=2, smooth=True), 8)],
 )
 def test_a_solution_ends_with_its_smooth_factors(config, factor):
     generator = GENERATORS.make(config, WAREHOUSE.canvas)

@@ -9,7 +9,7 @@ import pytest
 from small_warehouse import ROWS
 
 import qdenv
-from qdenv.generators import Base, CostsConfig, SmoothConfig
+from qdenv.generators import Base
 from qdenv.guidance import NUM_SMOOTH
 from qdenv.ops.guidance import FILE, PICTURE
 from qdenv.study.elites import make_costs_drawer
@@ -66,11 +66,11 @@ def test_a_search_begins_at_what_moves_most_of_the_guidances_that_any_floor_can_
 
 def test_smooth_factors_are_searched_first_and_single_costs_from_there(found, plan, tmp_path):
     first = qdenv.RunDirectory.open(found[1])
-    assert first.config.evaluation.generator == SmoothConfig("crisscross")
+    assert first.config.evaluation.generator.smooth
     assert first.best.solution.shape == (NUM_SMOOTH,)
     qdenv.guide(plan, path=tmp_path, guidance=found[1] / FILE, evaluations=40, **FLEET)
     then = qdenv.RunDirectory.open(tmp_path)
-    assert isinstance(then.config.evaluation.generator, CostsConfig)
+    assert not then.config.evaluation.generator.smooth
     costs = qdenv.read_plan(found[1] / FILE).costs
     assert then.best.solution.shape == (np.isfinite(costs).sum(),)
 
@@ -140,8 +140,9 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
     with pytest.raises(InputError, match="a run would replace it"):
         qdenv.guide(plan, path=tmp_path, model=path, **FLEET)
     qdenv.guide(plan, method="costs", path=tmp_path / "single", evaluations=40, **FLEET)
-    with pytest.raises(InputError, match="does not serve other floors"):
-        qdenv.guide(plan, model=tmp_path / "single", path=tmp_path / "out", **FLEET)
+    for model in (tmp_path / "single", "zoo:warehouse-even/best"):
+        with pytest.raises(InputError, match="no costs for other floors"):
+            qdenv.guide(plan, model=model, path=tmp_path / "out", **FLEET)
     with pytest.raises(InputError, match="simulate fewer agents"):
         qdenv.guide(plan, path=tmp_path / "out", **FLEET | {"agents": 500})
     with pytest.raises(InputError, match="the method update begins at one of none"):

@@ -73,9 +73,8 @@ def guide(
     """
     given: dict[str, Any] = dict(search)
     minutes, base = given.pop("minutes", None), given.pop("guidance", None)
-    numbers = {
-        name: given.pop(name) for name in ("evaluations", "simulations", "seed") if name in given
-    }
+    names = "evaluations", "simulations", "seed"
+    numbers = {name: given.pop(name) for name in names if name in given}
     if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
         given["planner"] = PibtConfig()  # a third of the time of the usual planner
     options = args.Fleet(given)
@@ -88,8 +87,7 @@ def guide(
         raise InputError(f"guidance {base}: the method {method} begins at one of {known}")
     name = args.name_of(layout)
     agents, timesteps, note = options.usual(plan, agents)
-    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-    fresh = Path("runs") / f"guide-{plan.name}-{stamp}"
+    fresh = Path("runs") / f"guide-{plan.name}-{datetime.now():%Y%m%d-%H%M%S}"
     if path is not None:
         RunDirectory(Path(path)).demand_new()
     fleet = options.config(agents, timesteps)

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from qdenv.domains.base import make_domain
-from qdenv.generators import Base, CostsConfig, SmoothConfig, UpdateConfig
+from qdenv.generators import Base, CostsConfig, UpdateConfig
 from qdenv.grid import draw
 from qdenv.guidance import existing_moves
 from qdenv.run.config import RunConfig
@@ -58,7 +58,7 @@ def guide_config(
     domain = plan.fitted()
     rows = tuple(draw(domain.drivable(plan.layout).astype(np.int8), "#."))
     generators: dict[str, Any] = {
-        "smooth": SmoothConfig(known),
+        "smooth": CostsConfig(rows, known, smooth=True),
         "costs": CostsConfig(rows, known),
         "update": UpdateConfig(base=known),
     }
@@ -119,17 +119,14 @@ def find_guidance(
     They are for its own floor, or for a `plan` on which a `fleet` drives. Raises InputError if the
     costs of each cell were searched there, which no other floor can have.
     """
-    config = run.config.evaluation
+    config, model = run.config.evaluation, run.config.evaluation.generator
     if plan is None:
         domain, layout = make_domain(config.domain), run.best.layout
-    elif isinstance(config.generator, SmoothConfig | UpdateConfig):
+    elif isinstance(model, UpdateConfig) or (isinstance(model, CostsConfig) and model.smooth):
         domain = make_domain(replace(plan.fitted().config, fleet=fleet))
         layout = plan.layout
     else:
-        raise InputError(
-            f"{run}: what was searched there does not serve other floors: give a run of `qdenv "
-            "guide` with the method smooth or update"
-        )
+        raise InputError(f"{run}: no costs for other floors: guide by the method smooth or update")
     drawer, tasks = make_costs_drawer(config, domain), domain.simulator.tasks
     assert drawer is not None
     costs, judged = {}, {}
