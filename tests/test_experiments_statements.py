@@ -301,14 +301,11 @@ def test_the_page_compares_exact_and_float_automata():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "agents", "mean", "after"),
-    [("calm-0", 500, "10.75", "20,000 simulations"), ("calm-640", 640, "11.64", "8,000 more")],
-)
-def test_the_page_of_guidance_states_what_saved_costs_move(name, agents, mean, after):
-    plan = read_plan(RESULTS / "guidance" / f"{name}.json")
-    config = FleetConfig(agents, 1000, planner=PibtConfig())
-    runs = run_seeds(plan.floor, plan.domain.simulator.tasks, config, range(10)).runs
-    moved = sample_of([float(run.throughput) for run in runs])
-    assert f"{moved.mean:.2f}" == mean
-    assert f"| {mean} ± {moved.error:.2f} after {after}" in page("notebooks/how_to/guidance.md")
+def test_the_page_of_guidance_states_what_saved_costs_move():
+    plan = read_plan(RESULTS / "guidance" / "calm-0.json")
+    text = page("notebooks/how_to/guidance.md")
+    for agents, wording in (500, "move {} under PIBT"), (640, "| {} after 3,400 simulations"):
+        config = FleetConfig(agents, 1000, planner=PibtConfig())
+        runs = run_seeds(plan.floor, plan.domain.simulator.tasks, config, range(10)).runs
+        moved = sample_of([float(run.throughput) for run in runs])
+        assert wording.format(f"{moved.mean:.2f} ± {moved.error:.2f}") in text
