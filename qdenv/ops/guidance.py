@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Unpack, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Unpack, get_args
 
 import numpy as np
 from tyro.conf import arg
@@ -36,7 +36,6 @@ _SHARES = (0.5, 0.75, 1.0, 1.25)  # of the number of agents, for which before an
 def guide(
     layout: args.Source,
     agents: Annotated[PositiveInt | None, arg(aliases=("--robots",))] = None,
-    method: Literal["smooth", "costs", "update"] | None = None,
     model: args.Run | None = None,
     path: args.Folder = None,
     progress: bool = True,
@@ -45,16 +44,13 @@ def guide(
 ) -> Table:
     """Find costs of moves with which a fleet finishes more tasks on an unchanged floor.
 
-    The run's folder gets the costs (guidance.json, for --guidance), a picture of them, and a table
-    of the throughput before and after, for several numbers of agents. A search that begins at the
-    costs of another one improves them: first the smooth ones, then each.
+    The run's folder gets the costs (guidance.json), a picture of them, and a table
+    of the throughput before and after, for several numbers of agents. A search that begins at
+    these costs (--guidance) improves each of them.
 
     Args:
         layout: layout file.
         agents: number of agents (robots); by default that of the plan or its size, else 200.
-        method: search 30 numbers, of factors that vary smoothly over a floor of any size; the cost
-            of each move; or the weights of a network that updates costs by where agents drive, on
-            any floor. By default smooth; costs where the search begins at costs of a file.
         model: run of the method smooth or update, which draws the costs, without a search.
         path: folder of the run; by default a new one under runs/.
         progress: show a progress bar.
@@ -68,11 +64,10 @@ def guide(
         InputError: the fleet cannot work on this layout, or the folder holds a run already.
 
     Examples:
-        ``qdenv guide plan.txt --robots 60 --minutes 5 --out lanes``
-        ``qdenv guide plan.txt --robots 60 --minutes 5 --guidance lanes/guidance.json``
+        ``qdenv guide plan.txt --robots 60 --minutes 5``
     """
     given: dict[str, Any] = dict(search)
-    minutes, base = given.pop("minutes", None), given.pop("guidance", None)
+    minutes, base, method = (given.pop(one, None) for one in ("minutes", "guidance", "method"))
     names = "evaluations", "simulations", "seed"
     numbers = {name: given.pop(name) for name in names if name in given}
     if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
