@@ -44,9 +44,9 @@ def guide(
 ) -> Table:
     """Find costs of moves with which a fleet finishes more tasks on an unchanged floor.
 
-    The run's folder gets the costs (guidance.json), a picture of them, and a table
-    of the throughput before and after, for several numbers of agents. A search that begins at
-    these costs (--guidance) improves each of them.
+    The run's folder gets the costs (guidance.json), a picture of them, and a table of the
+    throughput before and after, for several numbers of agents. A search that begins at these costs
+    (--guidance) improves each of them.
 
     Args:
         layout: layout file.

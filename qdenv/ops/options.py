@@ -163,8 +163,8 @@ class StudyOptions(FleetOptions, total=False):
 class GuideOptions(RunOptions, total=False):
     """A search of costs, with runs as `RunOptions` says; by PIBT unless a planner is named."""
 
-    # search 30 numbers of smooth costs for floors of any size, the cost of each move, or the weights
-    # of a network that updates costs; by default smooth, or costs if it begins at those of a file
+    # search 30 numbers of smooth costs for floors of any size, the cost of each move, or weights of
+    # a network that updates costs; by default smooth, or costs if it begins at those of a file
     method: Literal["smooth", "costs", "update"]
     # number of costs of moves to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt
