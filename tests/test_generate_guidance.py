@@ -9,13 +9,7 @@ import pytest
 from small_warehouse import ROWS
 
 from qdenv.domains.base import find_domain, make_domain
-from qdenv.generators import (
-    GENERATORS,
-    CostsConfig,
-    GuidedNcaConfig,
-    NcaConfig,
-    UpdateConfig,
-)
+from qdenv.generators import GENERATORS, CostsConfig, GuidedNcaConfig, NcaConfig, UpdateConfig
 from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT, of_tiles, parse
 from qdenv.guidance import (
     NUM_SMOOTH,
