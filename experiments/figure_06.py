@@ -5,20 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.layouts import best_of
+from experiments.layouts import best_of, open_generator
 from experiments.pieces import Drawn, Experiment, Folders, Piece
 from qdenv.domains.base import Domain, find_domain
 from qdenv.grid import draw as draw_rows
 from qdenv.grid import parse
 from qdenv.io.files import write_json
-from qdenv.run.directory import RunDirectory
 from qdenv.study.elites import grow_elite, grow_frames
 from qdenv.view.layouts import draw_frames
 
 
 @dataclass(frozen=True)
 class SavedGrowth(Piece):
-    """How an automaton of the zoo grows a layout of its trained size."""
+    """How an automaton of the first zoo grows a layout of its trained size."""
 
     kind = "growths"
     label = "growth of {0.domain}"
@@ -27,7 +26,7 @@ class SavedGrowth(Piece):
     every: int = 10  # steps from one frame to the next
 
     def done(self, folders: Folders) -> float:
-        """Return 1 if it is saved and of the generator that ships now."""
+        """Return 1 if it is saved, and of the generator."""
         path = self.path(folders)
         origin = json.loads(path.read_text())["origin"] if path.exists() else ""
         return float(origin == best_of(self.domain))
@@ -38,7 +37,7 @@ class SavedGrowth(Piece):
 
     def make(self, folders: Folders) -> None:
         """Grow it and keep the frames."""
-        run = RunDirectory.open(f"zoo:{self.domain}/best")
+        run = open_generator(self.domain, "nca")
         grown = grow_elite(run, "best")
         steps, frames = grow_frames(run, grown, self.every)
         drawn = [draw_rows(frame, grown.domain.tiles) for frame in frames]

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple, get_args
 import jax
 import jax.numpy as jnp
 
+from experiments.layouts import FIRST_ZOO
 from experiments.pieces import table
 from experiments.program import run_program
 from experiments.runs import whole_run
@@ -101,7 +102,7 @@ class Case(NamedTuple):
     """A row of the published table."""
 
     domain: str
-    floor: str  # file of the floor, or a generator of the zoo
+    floor: str  # name of a published file, or path of a run whose best elite draws it
     graph: str  # file of the published graph; "" where only the floor is at hand
     fleet: FleetConfig
     published: dict[str, float]  # throughput by guidance; "graph" is the best published one
@@ -142,7 +143,7 @@ CASES = {
     # As `qdenv guide calm.json --robots 640 --planner pibt --timesteps 1000` drives.
     "calm": Case(
         "warehouse-even",
-        "zoo:warehouse-even/calm",
+        str(FIRST_ZOO / "warehouse-even-calm"),
         "",
         FleetConfig(640, 1000, planner=PibtConfig()),
         {},
@@ -159,8 +160,8 @@ def published(name: str) -> Path:
 
 
 def read_floor(case: Case) -> Plan:
-    """Read the published floor of a case, or grow that of the zoo."""
-    if not case.floor.startswith("zoo:"):
+    """Read the published floor of a case, or grow that of the first zoo."""
+    if not Path(case.floor).is_dir():
         return read_plan(published(case.floor), case.domain)
     grown = generate(case.floor)
     return Plan(case.floor, grown.layout, grown.domain, assumed=False)
@@ -219,7 +220,7 @@ def main(
     """Simulate floors without guidance, with the published one and with ours.
 
     Args:
-        cases: random, warehouse, warehouse-150, empty, warehouse-pbs, calm (of the zoo).
+        cases: random, warehouse, warehouse-150, empty, warehouse-pbs, calm (first zoo).
         agents: numbers of agents: 200, or 150,200, or 50:400:50; as published unless given.
         seeds: number of runs of each, or of searches.
         out: table to write.

@@ -1,4 +1,4 @@
-"""Saved layouts: grown by an elite of a run or the zoo, drawn as people do, or tiled; repaired."""
+"""Saved layouts: grown by an elite of a run, drawn as people do, or tiled; repaired."""
 
 import json
 import zlib
@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from experiments import zoo
 from experiments.ledger import Case
 from experiments.pieces import Folders, Piece, say
 from experiments.runs import SavedRun, run_of
@@ -22,7 +21,6 @@ from qdenv.io.layouts import write_layout
 from qdenv.nca import seed_canvas
 from qdenv.repairs.settings import RepairConfig
 from qdenv.run.directory import RunDirectory
-from qdenv.shipped import PREFIX, USUAL, NamedGenerator, named, names
 from qdenv.simulation.maze.world import WALL, longest_path
 from qdenv.study import elites as sizes
 from qdenv.study.elites import Unrepaired
@@ -30,57 +28,17 @@ from qdenv.types import Array, InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
-GROWERS = ("nca", "nca-s")  # makers of layouts that are generators of the zoo
+# Generators of the first zoo, whose automata are of floats: those that figures simulated.
+FIRST_ZOO = Path(__file__).parent / "results" / "zoo"
+# Makers of layouts: its best at S_eval, and the one that moves most at S where that is another.
+GROWERS = ("nca", "nca-s")
 _longest_path = jax.jit(longest_path)
 SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
 
-@dataclass(frozen=True)
-class SavedZoo(Piece):
-    """The zoo of one domain."""
-
-    kind = "zoos"
-    label = "zoo of {0.domain}"
-    domain: str  # its name
-
-    @property
-    def run(self) -> SavedRun:
-        """Return the run that elites are chosen from, of the preset of the domain's name."""
-        return SavedRun(self.domain)
-
-    @property
-    def needs(self) -> tuple[Piece, ...]:
-        """The run."""
-        return (self.run,)
-
-    def done(self, folders: Folders) -> float:
-        """Return 1 if the package has one."""
-        return float(self.domain in names())
-
-    def seconds(self, folders: Folders) -> float:
-        """Estimate the CPU seconds of choosing and measuring about ten."""
-        return 1200.0
-
-    def make(self, folders: Folders) -> None:
-        """Choose the generators and write them into the package."""
-        say(f"{self.name}: is being chosen; {zoo.HOME} will hold it")
-        zoo.main(self.run.whole(folders).path)
-
-
 def open_generator(domain: str, maker: str) -> RunDirectory:
-    """Open the zoo's generator: its best for the maker "nca", `most_at_s` for "nca-s"."""
-    name = USUAL if maker == "nca" else most_at_s(domain)
-    return RunDirectory.open(f"{PREFIX}{domain}/{name}")
-
-
-def most_at_s(domain: str) -> str:
-    """Return the name of the generator that moves most at the trained size, and flows there."""
-
-    def moved(one: NamedGenerator) -> float:
-        driven = one.sizes[0].driven[0]
-        return driven.mean if driven.success == 1 else 0.0
-
-    return max(named(domain).collection.generators, key=moved).name
+    """Open the run of one elite that draws for one of `GROWERS`."""
+    return RunDirectory.open(FIRST_ZOO / f"{domain}-{maker}")
 
 
 class Made(NamedTuple):
@@ -110,8 +68,8 @@ class SavedLayout(Piece):
     label = "layout {0.stem}"
     file = "layouts/{0.stem}.json"
     domain: str  # its name
-    # "human", "tiled", "nca" (the zoo's best), "nca-s" (the zoo's that moves most at S), "random-0"
-    # and so on (a random maze like the zoo's best), "seed" (what automata grow from), "cma-mae" or
+    # one of `GROWERS`, "human", "tiled", "random-0" and so on (a random maze like that of "nca"),
+    # "seed" (what automata grow from), "cma-mae" or
     # the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose run's best elite draws it
     maker: str
     shape: tuple[int, int] = S  # rows and columns
@@ -128,12 +86,10 @@ class SavedLayout(Piece):
 
     @property
     def needs(self) -> tuple[Piece, ...]:
-        """The run or the zoo whose elite draws it, or the layout that it takes after."""
+        """The run whose elite draws it, or the layout that it takes after."""
         if self.maker == "tiled" or self.maker.startswith("random-"):
             return (self.like,)
-        if self.maker in GROWERS:
-            return (SavedZoo(self.domain),)
-        return () if self.maker in ("human", "seed") else (self.run(),)
+        return () if self.maker in ("human", "seed", *GROWERS) else (self.run(),)
 
     def done(self, folders: Folders) -> float:
         """Return 1 if it is saved, and made from what it would be made from now."""
@@ -253,7 +209,7 @@ def _read(path: Path, stamp: tuple[int, int], name: str, shape: tuple[int, int])
 
 
 def best_of(domain: str, maker: str = "nca") -> str:
-    """Return a checksum of the zoo's generator that draws for a maker."""
+    """Return a checksum of the generator that draws for one of `GROWERS`."""
     return checksum(open_generator(domain, maker).best.solution)
 
 

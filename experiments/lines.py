@@ -25,8 +25,8 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "nca": Look("CMA-MAE + NCA, zoo", "#0072B2", "-", "o"),
-    "nca-s": Look("CMA-MAE + NCA, zoo's best at S", "#56B4E9", "-", "D"),
+    "nca": Look("CMA-MAE + NCA, first zoo", "#0072B2", "-", "o"),
+    "nca-s": Look("CMA-MAE + NCA, first zoo's best at S", "#56B4E9", "-", "D"),
     "cma-mae": Look("CMA-MAE + NCA", "#000000", "-", "x"),
     "a1": Look("CMA-MAE + NCA, alpha = 1", "#999999", "--", "x"),
     "a0": Look("CMA-MAE + NCA, alpha = 0", "#999999", ":", "x"),

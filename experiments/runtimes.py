@@ -9,13 +9,12 @@ import jax
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of, open_generator
 from experiments.pieces import Drawn, Experiment, Folders, Piece, say, table
 from experiments.published import FLEETS
 from qdenv.generators import GENERATORS
 from qdenv.io.files import write_csv
 from qdenv.io.records import read_table
-from qdenv.run.directory import RunDirectory
 from qdenv.stats import Sample, sample_of
 from qdenv.study.elites import SIZES, finish, grow_elite
 from qdenv.view.style import new_figure
@@ -38,7 +37,7 @@ class Runtime(NamedTuple):
 
 @dataclass(frozen=True)
 class SavedRuntime(Piece):
-    """Growing and repairing the best layout of the zoo at one size."""
+    """Growing and repairing the best layout of the first zoo at one size."""
 
     kind = "runtimes"
     label = "runtimes of {0.domain} at {0.shape[0]}x{0.shape[1]}"
@@ -48,7 +47,7 @@ class SavedRuntime(Piece):
     seeds: int = SEEDS  # how many repairs
 
     def read(self, folders: Folders) -> list[Runtime]:
-        """Read what is saved of the generator that ships now."""
+        """Read what is saved of the generator."""
         if not self.path(folders).exists():
             return []
         origin = best_of(self.domain)
@@ -65,7 +64,7 @@ class SavedRuntime(Piece):
 
     def make(self, folders: Folders) -> None:
         """Grow and repair once per seed; each is saved as it ends."""
-        run = RunDirectory.open(f"zoo:{self.domain}/best")
+        run = open_generator(self.domain, "nca")
         grown = grow_elite(run, "best", self.shape)
         assert grown.elite is not None
         config, solution = run.config.evaluation, grown.elite.solution[None]

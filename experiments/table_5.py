@@ -5,12 +5,11 @@ With the rows of Table 2 for alpha = 0 and 1.
 
 from itertools import product
 
-from experiments.layouts import S_EVAL, S, SavedLayout, most_at_s
+from experiments.layouts import FIRST_ZOO, S_EVAL, S, SavedLayout
 from experiments.lines import LOOKS
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import AGENTS, FLEETS, TRAFFIC
 from experiments.traffic import SavedTraffic, describe
-from qdenv.shipped import USUAL, names
 
 MAKERS, RUNS = ("cma-es", "cma-mae", "nca"), 50
 HEAD = (
@@ -19,9 +18,9 @@ HEAD = (
 )
 PLANNERS = {"high": "ours, high effort", "published": "PBS, published rule"}
 NOTE = (
-    "Throughput: mean of the successful runs, +- its standard error; T = 5000. The zoo's were "
-    "chosen for S_eval, and some come from searches that began at elites, as `qdenv zoo` says; the "
-    "others are the plain best at S of 10,000 evaluations, seed 0."
+    "Throughput: mean of the successful runs, +- its standard error; T = 5000. Those of the first "
+    "zoo were chosen for S_eval, and some come from searches that began at elites; the others are "
+    "the plain best at S of 10,000 evaluations, seed 0."
 )
 
 
@@ -36,8 +35,7 @@ def has_row(domain: str, maker: str, shape: tuple[int, int]) -> bool:
     """Return True if the table has a row of a maker."""
     if maker in ("a0", "a1"):
         return domain.startswith("warehouse")
-    # The zoo's best moves most at S_eval; where another moves more at S, it has rows there.
-    return maker != "nca-s" or (shape == S and domain in names() and most_at_s(domain) != USUAL)
+    return maker != "nca-s" or (shape == S and (FIRST_ZOO / f"{domain}-nca-s").exists())
 
 
 # With N_a agents, by domain, maker, size and planner.

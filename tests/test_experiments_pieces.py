@@ -151,20 +151,6 @@ def test_layouts_are_drawn_once_and_shown_with_what_the_repair_changed(folders):
         absent.read(folders)
 
 
-def test_a_zoo_is_chosen_from_its_run_before_it_draws_layouts(folders, monkeypatch):
-    chosen: dict[str, Path] = {}
-    monkeypatch.setattr("experiments.zoo.main", lambda path: chosen.update(found=path))
-    monkeypatch.setattr("experiments.layouts.names", lambda: chosen)
-    layout = SavedLayout("warehouse-even", "nca", (13, 16))
-    grown = panels_of("plans", (Panel("grown", layout),))
-    (zoo,) = layout.needs
-    assert grown.missing(folders) == [zoo.run, zoo, layout]
-    zoo.make(folders)
-    assert chosen == {"found": zoo.run.whole(folders).path}
-    chosen["warehouse-even"] = chosen["found"]
-    assert grown.missing(folders) == [layout] and zoo.cost(folders) == 0
-
-
 def test_the_command_draws_lists_and_refuses(folders, capsys, tmp_path):
     SavedRun("warehouse-even").make(folders)
     where = dict(runs=folders.runs, results=folders.results, out=tmp_path / "out")
