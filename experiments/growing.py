@@ -87,10 +87,10 @@ class Workshop:
     def grow(self, cell: Cell, shape: Shape) -> sizes.Sized | None:
         """Grow an elite and repair its layout as `qdenv generate` does; None where that fails."""
         if (cell, shape) not in self._grown:
-            evaluation = self.config.evaluation
             try:
                 grown = grow_elite(self.run, self.archive.elite(cell), shape)
-                found = sizes.finish(grown, evaluation.repair, self.config.seed)
+                how = sizes.repair_config(self.run, grown)
+                found = sizes.finish(grown, how, self.config.seed)
             except InputError as error:
                 print(f"{cell}: {error}")
                 found = None

@@ -277,7 +277,7 @@ def layout_tile(
     cols: int,
     domain: args.DomainName = None,
     seed: args.RepairSeed = 0,
-    polish: Polish = "quick",
+    polish: Polish = "full",
     out: args.Out = None,
     **numbers: args.Number,
 ) -> Layout:

@@ -153,6 +153,19 @@ def grow_elite(
     return Unrepaired(domain, elite, layout, steps)
 
 
+def repair_config(run: RunDirectory, grown: Unrepaired) -> RepairConfig:
+    """Return the settings of the repair of what an elite of a run drew.
+
+    What the search simulated is repaired as it was then, any other layout by HiGHS, too: it is made
+    but once.
+    """
+    config, elite = run.config.evaluation, grown.elite
+    same = elite is not None and np.array_equal(grown.layout, elite.unrepaired)
+    if same and grown.domain.config == make_domain(config.domain).config:
+        return config.repair
+    return replace(config.repair, polish="full")
+
+
 def repair_grown(
     grown: Unrepaired, config: RepairConfig, seed: int = 0, progress: Progress = silent
 ) -> Repair | None:
@@ -236,7 +249,7 @@ def grow_sizes(
         own = {name: values[index] for name, values in given.items() if values}
         own |= dict(rules or {})
         grown = grow_elite(run, which, shape, steps[index] if steps else None, own)
-        sized = finish(grown, config.evaluation.repair, seed)
+        sized = finish(grown, repair_config(run, grown), seed)
         yield sized._replace(costs=draw_grown_costs(config.evaluation, grown, sized.layout))
 
 
