@@ -89,8 +89,7 @@ class Workshop:
         if (cell, shape) not in self._grown:
             try:
                 grown = grow_elite(self.run, self.archive.elite(cell), shape)
-                how = sizes.repair_config(self.run, grown)
-                found = sizes.finish(grown, how, self.config.seed)
+                found = sizes.finish(grown, grown.repair, self.config.seed)
             except InputError as error:
                 print(f"{cell}: {error}")
                 found = None

@@ -15,6 +15,7 @@ from experiments import (
     algorithms,
     congestion,
     own_objective,
+    polish,
     sphere,
     surrogate,
     which_nca,
@@ -24,7 +25,7 @@ from experiments.ledger import Run, read_runs
 from qdenv.configurations import PRESETS
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
-from qdenv.io.records import read_rows
+from qdenv.io.records import read_rows, read_table
 from qdenv.run.directory import RunDirectory
 from qdenv.types import InputError
 
@@ -46,7 +47,7 @@ def preset(small_run, monkeypatch) -> str:
 
 def test_every_script_of_its_own_is_tested_here():
     tested = {"which_nca", "algorithms", "sphere", "own_objective"}
-    tested |= {"surrogate", "agreement", "congestion", "zoo", "guidance"}
+    tested |= {"surrogate", "agreement", "congestion", "zoo", "guidance", "polish"}
     # The others are the figures and tables of the paper, and what these are made of.
     scripts = {
         path.stem
@@ -221,6 +222,22 @@ def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, caps
     assert (tmp_path / "a.png").exists()
     with pytest.raises(InputError, match="no runs"):
         congestion.main(out=tmp_path / "c.csv")
+
+
+def test_polish_repairs_and_simulates_elites_at_both_levels(small_run, tmp_path, capsys):
+    polish.main((small_run.path,), 2, tmp_path / "polish.csv")
+    rows = list(read_table(tmp_path / "polish.csv", polish.Row))
+    assert [row.polish for row in rows] == ["quick", "full"] * 2
+    archive = small_run.archive
+    for row in rows[::2]:
+        (place,) = np.flatnonzero(archive.columns["index"] == row.cell)
+        # What the search did is done again, bit for bit.
+        drawn, repaired = (archive.columns[name][place] for name in ("unrepaired", "repaired"))
+        assert row.changed == (drawn != repaired).sum() and row.congested == 0
+    for quick, full in zip(rows[::2], rows[1::2], strict=True):
+        assert quick.bound <= full.bound <= full.changed and full.throughput > 0
+    said = capsys.readouterr().out
+    assert "| warehouse-even | full | 2 |" in said
 
 
 def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_path, monkeypatch):

@@ -110,7 +110,7 @@ class GrowthOptions(Ranged):
     # other seeds give other, equally good repairs; by default the run's own
     seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
     # how hard to repair: full lets HiGHS improve the annealed layout, and prove it optimal if it
-    # can; by default full, but for a layout that the search simulated, which stays as it was
+    # can; by default the search's for a layout that it simulated, and full for any other
     polish: Polish | None = None
     # floor plan; the layout gets its size, numbers of tiles, walls and stations
     plan: args.PlanFile = None
@@ -164,13 +164,7 @@ def generate(
     named = not isinstance(elite, Elite)
     found = opened.archive.elite(elite, growth.measures or None) if named else elite
     # This imports jax: refusals are faster without it.
-    from qdenv.study.elites import (
-        draw_grown_costs,
-        grow_elite,
-        grow_frames,
-        repair_config,
-        repair_grown,
-    )
+    from qdenv.study.elites import draw_grown_costs, grow_elite, grow_frames, repair_grown
 
     config = opened.config
     trained = make_domain(config.evaluation.domain)
@@ -191,8 +185,7 @@ def generate(
             say(f"{frames}: after {', '.join(map(str, after))} steps")
         # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
-        how = repair_config(opened, grown)
-        how = dataclasses.replace(how, polish=growth.polish or how.polish)
+        how = dataclasses.replace(grown.repair, polish=growth.polish or grown.repair.polish)
         repaired = repair_grown(grown, how, seed, bar) if repair else None
     chosen = [*(numbers if plan is None else domain.counted), *["steps"] * bool(growth.steps)]
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
@@ -203,9 +196,9 @@ def generate(
     if repaired is not None:
         layout = np.asarray(repaired.layout)
         status = RepairStatus(int(repaired.status)).name.lower()
-        details |= {"repair": status, "changed": float(repaired.cost)}
-        bound = details["lower_bound"] = float(repaired.lower_bound)
-        say(f"repair: {status}, {repaired.cost:g} cells changed, {bound:g} at least")
+        cost, bound = float(repaired.cost), float(repaired.lower_bound)
+        details |= {"repair": status, "changed": cost, "lower_bound": bound}
+        say(f"repair: {status}, {cost:g} cells changed, {bound:g} at least")
         say(*describe_changes(list_changes(grown.layout, layout, domain)))
     costs = draw_grown_costs(config.evaluation, grown, layout)
     facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}

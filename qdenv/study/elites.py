@@ -42,6 +42,7 @@ class Unrepaired(NamedTuple):
     elite: Elite | None  # whose layout; None where no elite drew it (a tiled layout)
     layout: np.ndarray  # int8 [H, W]
     steps: int  # of growth; 0 where nothing grew
+    repair: RepairConfig = RepairConfig()  # the search's if it simulated this, or else with HiGHS
 
 
 class Sized(NamedTuple):
@@ -150,20 +151,9 @@ def grow_elite(
             recorded = recorded or checksum(elite.unrepaired)
         if recorded not in ("", checksum(layout)):
             _LOG.warning(_OTHER_DRAWING, run, rows, cols, checksum(layout), recorded)
-    return Unrepaired(domain, elite, layout, steps)
-
-
-def repair_config(run: RunDirectory, grown: Unrepaired) -> RepairConfig:
-    """Return the settings of the repair of what an elite of a run drew.
-
-    What the search simulated is repaired as it was then, any other layout by HiGHS, too: it is made
-    but once.
-    """
-    config, elite = run.config.evaluation, grown.elite
-    same = elite is not None and np.array_equal(grown.layout, elite.unrepaired)
-    if same and grown.domain.config == make_domain(config.domain).config:
-        return config.repair
-    return replace(config.repair, polish="full")
+    same = domain.config == trained.config and np.array_equal(layout, elite.unrepaired)
+    how = config.repair if same else replace(config.repair, polish="full")
+    return Unrepaired(domain, elite, layout, steps, how)
 
 
 def repair_grown(
@@ -246,10 +236,9 @@ def grow_sizes(
     config = run.config
     seed = config.seed if seed is None else seed
     for index, shape in enumerate(sizes):
-        own = {name: values[index] for name, values in given.items() if values}
-        own |= dict(rules or {})
+        own = {name: values[index] for name, values in given.items() if values} | dict(rules or {})
         grown = grow_elite(run, which, shape, steps[index] if steps else None, own)
-        sized = finish(grown, repair_config(run, grown), seed)
+        sized = finish(grown, grown.repair, seed)
         yield sized._replace(costs=draw_grown_costs(config.evaluation, grown, sized.layout))
 
 
