@@ -44,10 +44,10 @@ class Measuring:
 
 
 class Workshop:
-    """Grows elites of one run, and of those that began at them, and simulates their layouts."""
+    """Grows elites of one run and of further ones, and simulates their layouts."""
 
     def __init__(self, runs: Sequence[RunDirectory], measuring: Measuring, ledger: Path) -> None:
-        """Simulate nothing yet; all runs but the first began at elites of it.
+        """Simulate nothing yet; the first run is the one whose settings are reported.
 
         Raises InputError if runs were evaluated in different ways.
         """

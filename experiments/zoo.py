@@ -3,8 +3,8 @@
     python -m experiments.zoo runs/warehouse-even
     python -m experiments.zoo runs/warehouse-even --further runs/warehouse-even-further
 
-Each rule orders the elites of the run, and of runs that began at one of them; the first that no
-other rule has taken, and whose layout of the evaluation size can be repaired and flows, is chosen.
+Each rule orders the elites of the run, and of further ones; the first that no other rule has taken,
+and whose layout of the evaluation size can be repaired and flows, is chosen.
 The best is the one that is worth most at that size among a few (of fleets, from all over the
 archive), and flows there under priority-based search, too. Every simulation of a fleet is a row of
 a file and is not repeated, so this can be stopped and started again.
@@ -107,14 +107,15 @@ def origin_of(workshop: Workshop, domain: str) -> Origin:
     algorithm = ALGORITHMS.name_of(config.algorithm)
     done = run.read_metrics()[-1].evaluations
     more = sum(one.read_metrics()[-1].evaluations for one in workshop.further)
-    return Origin(preset, algorithm, config.seed, done, version, created, counted, more)
+    start = config.start
+    return Origin(preset, algorithm, config.seed, done, version, created, counted, more, start)
 
 
 def as_generated(run: RunDirectory, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Evaluate elites again whose repaired layout is not the one that `qdenv generate` makes.
 
-    Runs that began at elites of `run` repaired with seeds of their own, and only `run` is in the
-    zoo. The cells stay, as they are names; measures may lie just outside of theirs.
+    Further runs may have repaired with seeds of their own, and only `run` is in the zoo. The cells
+    stay, as they are names; measures may lie just outside of theirs.
     """
     experiment = make_experiment(run.config)
     pipeline, config = experiment.pipeline, run.config.evaluation
@@ -154,7 +155,7 @@ def main(
         measuring: what is simulated.
         ledger: CSV file that keeps every simulation; zoo-DOMAIN.csv beside the run unless given.
         out: folder of the zoo.
-        further: folders of runs that began at its elites, whose elites count like its own.
+        further: folders of further runs that began at elites; theirs count like its own.
     """
     run = RunDirectory.open(run_dir)
     domain = DOMAINS.name_of(run.config.evaluation.domain)

@@ -79,7 +79,8 @@ class Origin:
     qdenv: str  # version that searched
     created: str  # when it began
     counted: str  # what is averaged over simulations, with its unit
-    further: int = 0  # evaluations of runs that began at elites of this one, and gave some
+    further: int = 0  # evaluations of further runs, which began at other elites, and gave some
+    start: str = ""  # the generator of the zoo before this one where it began; "" for zeros
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,7 @@ def test_every_domain_says_which_run_it_comes_from(domain):
         former["goal_odds"] = evaluation.domain.goal_odds
     assert override(PRESETS[origin.run], former).evaluation == evaluation
     assert ALGORITHMS.name_of(run_.config.algorithm) == origin.algorithm
+    assert run_.config.start == origin.start
     assert (run_.config.seed, run_.read_metrics()[-1].evaluations) == (
         origin.seed,
         origin.evaluations,

@@ -153,9 +153,7 @@ def generate(
     Examples:
         ``qdenv generate zoo:warehouse-even/best --rows 57 --cols 58 --out plan.txt``
     """
-    stated: dict[str, Any] = {
-        name: numbers.pop(name) for name in ("steps", "seed", "polish") if name in numbers
-    }
+    stated: Any = {name: numbers.pop(name) for name in {"steps", "seed", "polish"} & numbers.keys()}
     growth = dataclasses.replace(growth, **stated)
     # A size that is not stated is the trained one, which needs no check.
     check_size(1 if rows is None else rows, 1 if cols is None else cols)

@@ -248,8 +248,7 @@ def zoo(name: ZooName = "", plot: args.Picture = None) -> Result:
             title = str(shipped).removeprefix(PREFIX) if len(found) > 1 else shipped.generator.name
             panels.append((run.best.layout, run.schema.tiles, title, "\n".join(lines)))
         picture.draw(draw_sheet(panels))
-    domains = [dataclasses.asdict(one) for one in found]
-    return Result({"domains": domains, "settings": {"name": text}})
+    return Result({"domains": [*map(dataclasses.asdict, found)], "settings": {"name": text}})
 
 
 def _describe_collection(collection: Collection) -> list[str]:
@@ -293,9 +292,10 @@ def _describe_generator(shipped: Shipped) -> list[str]:
 
 def _search(origin: Origin) -> str:
     """Describe in a clause the runs that the generators of a domain come from."""
-    further = f", {origin.further:,} more from its elites" if origin.further else ""
+    further = f", {origin.further:,} more from other elites" if origin.further else ""
+    start = f" from the former {origin.start}" if origin.start else ""
     return (
-        f"{origin.evaluations:,} evaluations of {origin.run}, {origin.algorithm}, "
+        f"{origin.evaluations:,} evaluations of {origin.run}{start}, {origin.algorithm}, "
         f"seed {origin.seed}{further}, qdenv {origin.qdenv}"
     )
 
