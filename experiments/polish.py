@@ -16,12 +16,13 @@ from experiments.program import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
 from qdenv.repairs.recipe import repair_layout
+from qdenv.repairs.settings import Polish
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import paired_difference
 from qdenv.study.engine import run_seeds
-from qdenv.types import RepairStatus
+from qdenv.types import InputError, RepairStatus
 
-LEVELS = ("quick", "full")
+LEVELS: tuple[Polish, ...] = ("quick", "full")
 HEAD = (
     *("domain", "polish", "layouts", "cells changed", "lower bound", "optimal", "CPU s"),
     *("tasks / timestep", "against quick (95 %)"),
@@ -48,16 +49,18 @@ def repair_and_simulate(run: RunDirectory, count: int) -> list[Row]:
     Elites that congested in the search are left out.
     """
     config, columns, rows = run.config.evaluation, run.archive.columns, []
-    domain = make_domain(config.domain)
+    domain, seeds = make_domain(config.domain), range(config.simulations)
+    if domain.rules is None:
+        raise InputError(f"{run}: nothing is repaired in {domain.name}")
+    rules, tasks, fleet = domain.rules(), domain.simulator.tasks, domain.config.fleet
     flowed = np.flatnonzero(~columns["congested"].any(axis=1))  # nobody builds the others
     chosen = np.unique(np.linspace(0, len(flowed) - 1, count).round().astype(int))
     for place in flowed[chosen]:
         for level in LEVELS:
             how = replace(config.repair, polish=level)
             drawn = columns["unrepaired"][place]
-            made = repair_layout(drawn, domain.rules(), run.config.seed, how)
-            seeds = range(config.simulations)
-            fleets = run_seeds(made.layout, domain.simulator.tasks, domain.config.fleet, seeds).runs
+            made = repair_layout(drawn, rules, run.config.seed, how)
+            fleets = run_seeds(np.asarray(made.layout), tasks, fleet, seeds).runs
             status = RepairStatus(int(made.status)).name.lower()
             found = domain.name, int(columns["index"][place]), level, status
             costs = float(made.cost), float(made.lower_bound), round(float(made.seconds), 3)
