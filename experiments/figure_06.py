@@ -26,7 +26,7 @@ class SavedGrowth(Piece):
     every: int = 10  # steps from one frame to the next
 
     def done(self, folders: Folders) -> float:
-        """Return 1 if it is saved, and of the generator."""
+        """Return 1 if it is saved, and the generator is the one that drew it."""
         path = self.path(folders)
         origin = json.loads(path.read_text())["origin"] if path.exists() else ""
         return float(origin == best_of(self.domain))

@@ -69,8 +69,8 @@ class SavedLayout(Piece):
     file = "layouts/{0.stem}.json"
     domain: str  # its name
     # one of `GROWERS`, "human", "tiled", "random-0" and so on (a random maze like that of "nca"),
-    # "seed" (what automata grow from), "cma-mae" or
-    # the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose run's best elite draws it
+    # "seed" (what automata grow from), "cma-mae" or the end of a preset's name: "a0", "a1",
+    # "cma-es", "dsage", whose run's best elite draws it
     maker: str
     shape: tuple[int, int] = S  # rows and columns
 

@@ -1,6 +1,9 @@
 """What HiGHS gains over annealing alone, on layouts that searches have found.
 
-python -m experiments.polish runs/warehouse-even runs/warehouse-uneven runs/manufacturing
+    python -m experiments.polish runs/warehouse-even runs/warehouse-uneven runs/manufacturing
+
+Each drawing is repaired as a search does and as `qdenv generate` does, and both layouts are
+simulated as in the search.
 """
 
 import sys

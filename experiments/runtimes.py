@@ -47,7 +47,7 @@ class SavedRuntime(Piece):
     seeds: int = SEEDS  # how many repairs
 
     def read(self, folders: Folders) -> list[Runtime]:
-        """Read what is saved of the generator."""
+        """Read what is saved of this generator."""
         if not self.path(folders).exists():
             return []
         origin = best_of(self.domain)

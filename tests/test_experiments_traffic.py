@@ -362,14 +362,15 @@ def test_runtimes_are_averaged_over_repairs(folders):
     assert drawn.lines[-1] == "Not made yet: 22 of 23."
 
 
-def test_runtimes_are_those_of_repairs_that_other_commands_make(folders, small_run, monkeypatch):
+def test_runtimes_are_those_of_repairs_as_in_a_search(folders, small_run, monkeypatch):
     monkeypatch.setattr(runtimes, "open_generator", lambda domain, maker: small_run)
     saved = SavedRuntime("warehouse-even", (14, 13), seeds=2)
     saved.make(folders)
     rows = saved.read(folders)
     assert [row.seed for row in rows] == [0, 1]
     for row in rows:
-        sized = next(sizes.grow_sizes(small_run, "best", [(14, 13)], seed=row.seed))
+        grown = sizes.grow_elite(small_run, "best", (14, 13))
+        sized = sizes.finish(grown, small_run.config.evaluation.repair, row.seed)
         assert (row.steps, row.repair, row.changed) == (sized.steps, sized.repair, sized.changed)
         assert min(row.grow_seconds, row.compile_seconds) > 0 and row.changed > 0
     assert saved.done(folders) == 1 and saved.cost(folders) == 0
