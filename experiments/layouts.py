@@ -21,6 +21,7 @@ from qdenv.io.layouts import write_layout
 from qdenv.nca import seed_canvas
 from qdenv.repairs.settings import RepairConfig
 from qdenv.run.directory import RunDirectory
+from qdenv.shipped import PREFIX, USUAL
 from qdenv.simulation.maze.world import WALL, longest_path
 from qdenv.study import elites as sizes
 from qdenv.study.elites import Unrepaired
@@ -30,15 +31,17 @@ S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
 # Generators of the first zoo, whose automata are of floats: those that figures simulated.
 FIRST_ZOO = Path(__file__).parent / "results" / "zoo"
-# Makers of layouts: its best at S_eval, and the one that moves most at S where that is another.
-GROWERS = ("nca", "nca-s")
+# Makers of layouts: its best at S_eval, the one that moves most at S where that is another, and the
+# best of the zoo that ships.
+GROWERS = ("nca", "nca-s", "zoo")
 _longest_path = jax.jit(longest_path)
 SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
 
 def open_generator(domain: str, maker: str) -> RunDirectory:
-    """Open the run of one elite that draws for one of `GROWERS`."""
-    return RunDirectory.open(FIRST_ZOO / f"{domain}-{maker}")
+    """Open the run whose best elite draws for one of `GROWERS`."""
+    first = FIRST_ZOO / f"{domain}-{maker}"
+    return RunDirectory.open(f"{PREFIX}{domain}/{USUAL}" if maker == "zoo" else first)
 
 
 class Made(NamedTuple):
@@ -165,7 +168,9 @@ class SavedLayout(Piece):
             else:
                 run = self.run().best(folders)
             grown = sizes.grow_elite(run, "best", self.shape)
-            return grown, run.config.evaluation.repair, run.config.seed
+            # All are annealed, as the first zoo was; that of today is what `qdenv generate` makes.
+            how = grown.repair if self.maker == "zoo" else run.config.evaluation.repair
+            return grown, how, run.config.seed
         return Unrepaired(domain, None, layout, 0), RepairConfig(), 0
 
     def read(self, folders: Folders) -> Made:

@@ -27,6 +27,7 @@ class Look(NamedTuple):
 LOOKS = {
     "nca": Look("CMA-MAE + NCA, first zoo", "#0072B2", "-", "o"),
     "nca-s": Look("CMA-MAE + NCA, first zoo's best at S", "#56B4E9", "-", "D"),
+    "zoo": Look("CMA-MAE + NCA, zoo", "#56B4E9", ":", "o"),
     "cma-mae": Look("CMA-MAE + NCA", "#000000", "-", "x"),
     "a1": Look("CMA-MAE + NCA, alpha = 1", "#999999", "--", "x"),
     "a0": Look("CMA-MAE + NCA, alpha = 0", "#999999", ":", "x"),
