@@ -89,7 +89,7 @@ class Workshop:
         if (cell, shape) not in self._grown:
             try:
                 grown = grow_elite(self.run, self.archive.elite(cell), shape)
-                found = sizes.finish(grown, grown.repair, self.config.seed)
+                found = sizes.finish(grown, self.config.seed)
             except InputError as error:
                 print(f"{cell}: {error}")
                 found = None

@@ -19,7 +19,6 @@ from qdenv.generators import choose_tiles
 from qdenv.grid import draw, of_tiles, parse
 from qdenv.io.layouts import write_layout
 from qdenv.nca import seed_canvas
-from qdenv.repairs.settings import RepairConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import PREFIX, USUAL
 from qdenv.simulation.maze.world import WALL, longest_path
@@ -128,9 +127,9 @@ class SavedLayout(Piece):
         Where no repair is found the file says so, and holds what could not be repaired.
         """
         say(f"{self.stem}: is being made")
-        (grown, config, seed), refused = self._draw(folders), {}
+        (grown, seed), refused = self._draw(folders), {}
         try:
-            made = sizes.finish(grown, config, seed)
+            made = sizes.finish(grown, seed)
         except InputError as error:
             say(f"{self.stem}: {error}")
             made = sizes.Sized(grown.layout, grown.steps, {}, "failed", 0, 0.0)
@@ -147,8 +146,8 @@ class SavedLayout(Piece):
             unrepaired=draw(grown.layout, grown.domain.tiles),
         )
 
-    def _draw(self, folders: Folders) -> tuple[Unrepaired, RepairConfig, int]:
-        """Make the unrepaired layout; return it with the limits and the seed of its repair."""
+    def _draw(self, folders: Folders) -> tuple[Unrepaired, int]:
+        """Make the unrepaired layout; return it with the seed of its repair."""
         domain = find_domain(self.domain).resized(*self.shape)
         if self.maker == "human":
             layout = sizes.human_layout(domain)
@@ -168,10 +167,10 @@ class SavedLayout(Piece):
             else:
                 run = self.run().best(folders)
             grown = sizes.grow_elite(run, "best", self.shape)
-            # All are annealed, as the first zoo was; that of today is what `qdenv generate` makes.
-            how = grown.repair if self.maker == "zoo" else run.config.evaluation.repair
-            return grown, how, run.config.seed
-        return Unrepaired(domain, None, layout, 0), RepairConfig(), 0
+            if self.maker != "zoo":  # annealed as in searches, like all that are saved
+                grown = grown._replace(repair=run.config.evaluation.repair)
+            return grown, run.config.seed
+        return Unrepaired(domain, None, layout, 0), 0
 
     def read(self, folders: Folders) -> Made:
         """Read it.

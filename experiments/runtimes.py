@@ -65,12 +65,13 @@ class SavedRuntime(Piece):
     def make(self, folders: Folders) -> None:
         """Grow and repair once per seed; each is saved as it ends."""
         run = open_generator(self.domain, "nca")
-        grown = grow_elite(run, "best", self.shape)
+        config = run.config.evaluation
+        grown = grow_elite(run, "best", self.shape)._replace(repair=config.repair)
         assert grown.elite is not None
-        config, solution = run.config.evaluation, grown.elite.solution[None]
+        solution = grown.elite.solution[None]
         generator = GENERATORS.make(config.generator, grown.domain.canvas)
         # A process loads what was compiled before when it repairs first, which is no repair's work.
-        finish(grown, config.repair, seed=0)
+        finish(grown, seed=0)
         while (seed := len(known := self.read(folders))) < self.seeds:
             # By the clock of the CPU, all cores together.
             begin = time.process_time()
@@ -79,7 +80,7 @@ class SavedRuntime(Piece):
             compiled = time.process_time()
             compiled_grow(solution).block_until_ready()
             seconds = round(compiled - begin, 4), round(time.process_time() - compiled, 4)
-            sized = finish(grown, config.repair, seed)
+            sized = finish(grown, seed)
             ended: Any = (sized.cpu_seconds, sized.repair, sized.changed, best_of(self.domain))
             known.append(Runtime(seed, grown.steps, *seconds, *ended))
             write_csv(self.path(folders), Runtime._fields, known)

@@ -124,8 +124,8 @@ def as_generated(run: RunDirectory, columns: Mapping[str, np.ndarray]) -> dict[s
     changed = []
     for row, solution in enumerate(columns["solution"]):
         (layout,) = grow_series(config, pipeline.domain, solution, [config.generator.steps])
-        grown = Unrepaired(pipeline.domain, None, layout, config.generator.steps)
-        repaired = repair_grown(grown, config.repair, run.config.seed)
+        grown = Unrepaired(pipeline.domain, None, layout, config.generator.steps, config.repair)
+        repaired = repair_grown(grown, run.config.seed)
         if repaired is not None and (repaired.layout != columns["repaired"][row]).any():
             changed.append(row)
     if not changed:

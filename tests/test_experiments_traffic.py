@@ -370,7 +370,8 @@ def test_runtimes_are_those_of_repairs_as_in_a_search(folders, small_run, monkey
     assert [row.seed for row in rows] == [0, 1]
     for row in rows:
         grown = sizes.grow_elite(small_run, "best", (14, 13))
-        sized = sizes.finish(grown, small_run.config.evaluation.repair, row.seed)
+        how = small_run.config.evaluation.repair
+        sized = sizes.finish(grown._replace(repair=how), row.seed)
         assert (row.steps, row.repair, row.changed) == (sized.steps, sized.repair, sized.changed)
         assert min(row.grow_seconds, row.compile_seconds) > 0 and row.changed > 0
     assert saved.done(folders) == 1 and saved.cost(folders) == 0

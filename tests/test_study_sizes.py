@@ -150,7 +150,8 @@ def test_the_solver_polishes_what_the_search_did_not_simulate(run):
 def test_any_canvas_grows(run, shape):
     grown = grow_elite(run, "best", shape)
     assert grown.layout.shape == shape
-    assert audit(repair_grown(grown, RepairConfig("none")).layout, rules_of(grown)) == []
+    grown = grown._replace(repair=RepairConfig("none"))
+    assert audit(repair_grown(grown).layout, rules_of(grown)) == []
 
 
 def rules_of(grown):

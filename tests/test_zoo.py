@@ -121,8 +121,8 @@ def test_every_recorded_drawing_is_repaired_to_the_recorded_figures(domain):
     drawn = archive.columns["unrepaired"]
     for one in generators_of(domain):
         (row,) = np.flatnonzero((archive.cells == one.cell).all(axis=1))
-        grown = Unrepaired(found, None, drawn[row], steps)
-        repaired = repair_grown(grown, evaluation.repair, config.seed)
+        grown = Unrepaired(found, None, drawn[row], steps, evaluation.repair)
+        repaired = repair_grown(grown, config.seed)
         layout = drawn[row] if repaired is None else np.asarray(repaired.layout)
         assert (layout != drawn[row]).sum() == one.sizes[0].changed
         # What pages and pictures show is what `qdenv generate` makes.

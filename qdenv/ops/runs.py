@@ -183,8 +183,9 @@ def generate(
             say(f"{frames}: after {', '.join(map(str, after))} steps")
         # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
-        how = dataclasses.replace(grown.repair, polish=growth.polish or grown.repair.polish)
-        repaired = repair_grown(grown, how, seed, bar) if repair else None
+        if growth.polish:
+            grown = grown._replace(repair=dataclasses.replace(grown.repair, polish=growth.polish))
+        repaired = repair_grown(grown, seed, bar) if repair else None
     chosen = [*(numbers if plan is None else domain.counted), *["steps"] * bool(growth.steps)]
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:

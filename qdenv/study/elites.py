@@ -156,9 +156,7 @@ def grow_elite(
     return Unrepaired(domain, elite, layout, steps, how)
 
 
-def repair_grown(
-    grown: Unrepaired, config: RepairConfig, seed: int = 0, progress: Progress = silent
-) -> Repair | None:
+def repair_grown(grown: Unrepaired, seed: int = 0, progress: Progress = silent) -> Repair | None:
     """Repair a grown layout; None where its domain has no rules.
 
     Raises InputError if no layout of this size obeys the rules, or none was found.
@@ -171,7 +169,7 @@ def repair_grown(
     from qdenv.repairs.recipe import repair_layout
 
     rules = domain.rules()
-    result = repair_layout(grown.layout, rules, seed, config, progress)
+    result = repair_layout(grown.layout, rules, seed, grown.repair, progress)
     if result.status >= RepairStatus.IMPOSSIBLE:
         rows, cols = domain.shape
         demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())
@@ -199,9 +197,9 @@ def draw_grown_costs(
     return unscaled_costs(costs, grown.domain.drivable(layout))
 
 
-def finish(grown: Unrepaired, config: RepairConfig, seed: int) -> Sized:
+def finish(grown: Unrepaired, seed: int) -> Sized:
     """Repair a layout and count what that changed; raise InputError as `repair_grown` does."""
-    before, repaired = grown.layout, repair_grown(grown, config, seed)
+    before, repaired = grown.layout, repair_grown(grown, seed)
     after = before if repaired is None else np.asarray(repaired.layout)
     return Sized(
         layout=after,
@@ -238,7 +236,7 @@ def grow_sizes(
     for index, shape in enumerate(sizes):
         own = {name: values[index] for name, values in given.items() if values} | dict(rules or {})
         grown = grow_elite(run, which, shape, steps[index] if steps else None, own)
-        sized = finish(grown, grown.repair, seed)
+        sized = finish(grown, seed)
         yield sized._replace(costs=draw_grown_costs(config.evaluation, grown, sized.layout))
 
 
@@ -368,8 +366,9 @@ def tile(
     larger = plan.domain.fitted(plan.layout).resized(*shape, numbers)
     tiled = tile_layout(larger, plan.layout)
     # Walls and stations are repeated, too.
-    grown = Unrepaired(larger.fitted(tiled, larger.numbers | dict(numbers or {})), None, tiled, 0)
-    sized, (rows, cols) = finish(grown, config or RepairConfig(), seed), larger.margin
+    fitted = larger.fitted(tiled, larger.numbers | dict(numbers or {}))
+    sized = finish(Unrepaired(fitted, None, tiled, 0, config or RepairConfig()), seed)
+    rows, cols = larger.margin
 
     def adapt(grid: np.ndarray) -> np.ndarray:
         inside = repeat(inside_frame(grid, larger.margin), larger)
