@@ -110,12 +110,15 @@ class Workshop:
         return trial.mean if trial.success == 1 else -1.0
 
     def flows(self, cell: Cell) -> bool:
-        """Return True if a layout of the last size that is worth anything flows under PBS, too."""
+        """Return True if a layout of the last size that is worth anything flows under PBS, too.
+
+        Over the whole horizon: many congest only after the time of a trial.
+        """
         sized = self.grow(cell, self.shapes[-1])
         if sized is None or not self.fleet or self.measuring.pbs_seeds == NONE:
             return sized is not None
         plan = ("published", "1")
-        return self.drive(cell, sized.layout, plan, self.measuring.trial_timesteps).success == 1
+        return self.drive(cell, sized.layout, plan, self.measuring.timesteps).success == 1
 
     def measure(self, cell: Cell, shape: Shape) -> GrownLayout:
         """Grow a chosen elite at one size, and simulate it as is to be reported."""
