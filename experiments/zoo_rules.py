@@ -78,7 +78,8 @@ _WAREHOUSE = with_fleets(
 # By domain: the rule of the best, which orders its candidates, and those of the others.
 RULES: Mapping[str, tuple[Rule, ...]] = {
     "warehouse-even": _WAREHOUSE,
-    "warehouse-uneven": _WAREHOUSE,
+    # Few of its elites move much at the largest size: more are tried.
+    "warehouse-uneven": (_WAREHOUSE[0]._replace(tried=72, apart=3), *_WAREHOUSE[1:]),
     "manufacturing": with_fleets(
         "workstations", "stations", "the fewest stations", "the most stations"
     ),
