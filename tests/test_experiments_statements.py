@@ -11,10 +11,12 @@ import pytest
 from experiments.__main__ import find
 from experiments.figure_19 import USAGE
 from experiments.pieces import Folders
+from experiments.polish import LEVELS, Row
+from qdenv.io.records import read_table
 from qdenv.shipped import named
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
-from qdenv.stats import margin, sample_of
+from qdenv.stats import margin, paired_difference, sample_of
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import read_plan
 
@@ -287,6 +289,28 @@ def test_the_page_of_improvements_states_what_was_saved():
         moved = [f"{float(row['throughput']):.2f}" for row in csv.DictReader(lines)]
     for hers, ours in zip(moved[::2], moved[1::2], strict=True):
         assert f"* {ours} instead of {hers} " in text
+
+
+def test_the_notes_state_what_highs_gains():
+    rows = list(read_table(RESULTS / "polish.csv", Row))
+    for domain in ("warehouse-even", "warehouse-uneven", "manufacturing"):
+        quick, full = ([row for row in rows if row[:3:2] == (domain, one)] for one in LEVELS)
+        assert [row.cell for row in quick] == [row.cell for row in full] and len(full) == 67
+        moved = [[row.throughput for row in own] for own in (full, quick)]
+        change = paired_difference(*moved)
+        means = [
+            [np.mean([row[place] for row in own]) for own in (quick, full)] for place in (4, 6)
+        ]
+        proven = sum(row.repair == "optimal" for row in full)
+        cells = [
+            "{:.1f}; {:.1f}".format(*means[0]),
+            f"{np.mean([row.bound for row in full]):.1f}",
+            f"{proven} of 67",
+            "{:.2f}; {:.2f}".format(*means[1]),
+            f"{np.mean(moved[1]):.3f}; {np.mean(moved[0]):.3f} "
+            f"({change.low:+.1f} to {change.high:+.1f} %)",
+        ]
+        assert f"| `{domain}` | {' | '.join(cells)} |" in NOTES
 
 
 def test_the_page_compares_exact_and_float_automata():
