@@ -302,12 +302,12 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_521,
+    "lines": 33_520,
     "files": 195,
     "records": 195,
-    "public names": 1_241,
+    "public names": 1_240,
     "class names used twice": 0,
-    "functions of two lines": 334,
+    "functions of two lines": 333,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
