@@ -28,7 +28,7 @@ class Rule(NamedTuple):
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
     """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
-    best = "moves most at the largest size, and flows there under both planners"
+    best = "moves most at the largest size, and flowed there in runs under both planners"
     regular = f"the best of the regular ones with few {noun}"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),
