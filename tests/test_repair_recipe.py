@@ -12,6 +12,7 @@ from qdenv.grid import parse
 from qdenv.io.layouts import read_layout
 from qdenv.repairs import recipe
 from qdenv.repairs.audit import audit
+from qdenv.repairs.milp import highs
 from qdenv.repairs.milp.highs import new_solver, separate
 from qdenv.repairs.milp.program import build, decode, encode
 from qdenv.repairs.milp.windows import WindowSearch
@@ -217,6 +218,16 @@ def test_only_full_uses_the_solver(monkeypatch):
         used.append(level)
         repair_layout(layout, yard(8, 9, 14, 14), 0, RepairConfig(level))
     assert used == ["none", "quick", "full", "run", "improve"]
+
+
+def test_a_large_layout_is_bounded_without_branching(monkeypatch):
+    """One step of branching on a large factory takes minutes that nothing can interrupt."""
+    monkeypatch.setattr(highs, "run_limited", lambda *given: pytest.fail("it branches"))
+    monkeypatch.setattr(highs, "_MAX_GAP", 1.0)  # even where the bound is far
+    layout = np.random.default_rng(0).integers(0, 5, (57, 58)).astype(np.int8)
+    found = repair_layout(layout, factory(57, 58), 0, RepairConfig("full", moves_per_cell=300))
+    assert 0 < found.lower_bound < found.cost
+    assert audit(found.layout, factory(57, 58)) == []
 
 
 def test_progress_is_reported_and_changes_nothing():

@@ -17,9 +17,9 @@ from qdenv.types import Repair, RepairStatus
 MAX_CELLS = 20_000  # that may change: with more even the relaxation takes minutes
 _MAX_GAP = 0.08  # of the relaxation beyond which branching would not pay, in parts of the cost
 _SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
-# Variables of a program beyond which branching does not pay: at 101 x 102 one heuristic of a
-# factory's root, which offers no interruption, takes minutes and saves half a percent.
-_LARGE = 5000
+# Cells that may change, beyond which branching does not pay: at 101 x 102 one heuristic of a
+# factory's root, which offers no interruption, takes minutes and saves a percent.
+_BRANCHED_CELLS = 2500
 _ROUNDS = 4  # solves, each with more connectivity cuts
 _INTERRUPT_BUDGET = 100  # of one solve: a deterministic limit on its work
 _MENDING_MOVES = 300  # annealing moves per cell that mend a solution's connections
@@ -182,8 +182,8 @@ def improve(
     if is_proven(best, config.gap):
         return best._replace(status=RepairStatus.OPTIMAL)
     # Branching closes small gaps only, but any gap of a small program.
-    size, close = program.cost.size, best.lower_bound >= best.cost * (1 - _MAX_GAP)
-    if size > _LARGE or (size > _SMALL and not close):
+    close = best.lower_bound >= best.cost * (1 - _MAX_GAP)
+    if facts.free_cells > _BRANCHED_CELLS or (program.cost.size > _SMALL and not close):
         return best
     solver, rng = load(new_solver(seed), program), np.random.default_rng(seed)
     solver.setOptionValue("mip_rel_gap", config.gap)
