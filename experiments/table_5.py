@@ -33,7 +33,7 @@ def runs_of(
 
 def has_row(domain: str, maker: str, shape: tuple[int, int]) -> bool:
     """Return True if the table has a row of a maker."""
-    if maker in ("a0", "a1", "zoo"):  # the factories that ship are those of the first zoo
+    if maker in ("a0", "a1"):
         return domain.startswith("warehouse")
     return maker != "nca-s" or (shape == S and (FIRST_ZOO / f"{domain}-nca-s").exists())
 

@@ -224,6 +224,7 @@ def test_a_large_layout_is_bounded_without_branching(monkeypatch):
     """One step of branching on a large factory takes minutes that nothing can interrupt."""
     monkeypatch.setattr(highs, "run_limited", lambda *given: pytest.fail("it branches"))
     monkeypatch.setattr(highs, "_MAX_GAP", 1.0)  # even where the bound is far
+    monkeypatch.setattr(highs, "_BRANCHED_CELLS", 3000)
     layout = np.random.default_rng(0).integers(0, 5, (57, 58)).astype(np.int8)
     found = repair_layout(layout, factory(57, 58), 0, RepairConfig("full", moves_per_cell=300))
     assert 0 < found.lower_bound < found.cost
