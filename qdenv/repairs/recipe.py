@@ -64,9 +64,7 @@ def _repair_possible(
 ) -> Repair:
     """Repair a layout whose rules do not contradict each other."""
     bound, moves = bound_cost(layout, facts), config.count_moves(facts.free_cells)
-    if (
-        facts.rules.covers
-    ):  # each takes up to three times as long, and moves of rectangles need fewer
+    if facts.rules.covers:  # moves of rectangles take up to three times as long; fewer are needed
         moves = moves * 2 // 5
 
     def starts() -> Iterator[tuple[np.ndarray, Schedule]]:

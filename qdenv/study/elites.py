@@ -26,8 +26,6 @@ from qdenv.types import Array, InputError, Repair, RepairStatus
 
 # Rows and columns of Figure 18, from S to S_eval.
 SIZES = ((33, 36), (45, 47), (57, 58), (69, 69), (81, 80), (93, 91), (101, 102))
-
-
 _OTHER_DRAWING = (
     "%s: draws another plan of %d x %d here than is recorded (checksum %s, not %s), which an exact "
     "automaton never should: what is recorded of it does not hold for this plan"

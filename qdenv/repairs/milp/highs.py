@@ -17,9 +17,8 @@ from qdenv.types import Repair, RepairStatus
 MAX_CELLS = 20_000  # that may change: with more even the relaxation takes minutes
 _MAX_GAP = 0.08  # of the relaxation beyond which branching would not pay, in parts of the cost
 _SMALL = 500  # variables of a program that the solver closes in a second whatever its gap
-# Cells that may change, beyond which nothing branches. At 101 x 102 one heuristic of a factory's
-# root (10,302 cells), which offers no interruption, takes minutes and saves a percent; a warehouse
-# (9,898) is mostly solved in seconds.
+# Free cells beyond which nothing branches: at 101 x 102 one heuristic of a factory's root, which
+# offers no interruption, takes minutes for a percent; warehouses (9,898 cells) take seconds.
 _BRANCHED_CELLS = 10_000
 _ROUNDS = 4  # solves, each with more connectivity cuts
 _INTERRUPT_BUDGET = 100  # of one solve: a deterministic limit on its work
@@ -197,7 +196,7 @@ def improve(
         solution.col_value = encode(program, np.asarray(best.layout), layout, facts).tolist()
         solver.setSolution(solution)
         run_limited(solver, _INTERRUPT_BUDGET)
-        timed_out = solver.getModelStatus() == highspy.HighsModelStatus.kTimeLimit
+        expired = solver.getModelStatus() == highspy.HighsModelStatus.kTimeLimit
         bound = round_up(solver.getInfo().mip_dual_bound, facts)
         best = best._replace(lower_bound=max(best.lower_bound, bound))
         roles = decode(program.cells, np.array(solver.getSolution().col_value))
@@ -210,9 +209,8 @@ def improve(
             return best._replace(status=RepairStatus.OPTIMAL)
         # Even the solver's optimum is one of the program without the connectivity still to be cut
         # in: it proves nothing.
-        status = RepairStatus.TIME_LIMIT if timed_out else RepairStatus.NODE_LIMIT
-        best = best._replace(status=status)
-        if not cuts or timed_out:
+        best = best._replace(status=RepairStatus.TIME_LIMIT if expired else RepairStatus.NODE_LIMIT)
+        if not cuts or expired:
             break
         add_cuts(solver, program.cells, facts, cuts)
     return best
