@@ -41,8 +41,8 @@ def draw(folders: Folders) -> Drawn:
         axes.set_xlabel("timestep")
     panels[0, 0].set_ylabel("tasks finished / timestep")
     finish(figure, panels)
-    note = "The paper: what automata draw moves a stable number of tasks all the time."
-    return Drawn(figure, (*table(HEAD, rows), "", note))
+    note = "Under our planner. The paper: what automata draw moves a stable number of tasks all the"
+    return Drawn(figure, (*table(HEAD, rows), "", f"{note} time."))
 
 
 EXPERIMENT = Experiment("tasks finished over time, 200 agents", tuple(COURSES.values()), draw)

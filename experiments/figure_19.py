@@ -60,7 +60,7 @@ def draw(folders: Folders) -> Drawn:
         moved = describe(saved.outcomes(folders), refusal)
         paper = TRAFFIC[domain, maker, agents]
         rows.append((domain, LOOKS[maker].label, agents, changed, *moved, paper))
-    said = f"T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
+    said = f"Our planner; T = 5000; usage: share of all agents' time, mean of {MAPPED} runs"
     return Drawn(figure, (*table(HEAD, rows), "", f"{said}, until they congest."))
 
 

@@ -17,6 +17,7 @@ SHARES = {S: (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0), S_EVAL: (0.4, 0.6, 0.8, 1.0
 CURVE_RUNS = {S: RUNS, S_EVAL: 10}
 HEAD = ("domain", "size", "layout", "runs", "most tasks / timestep", "agents then", "success then")
 NOTES = (
+    "Our planner; the first zoo's were chosen for S_eval. "
     "Mean of all runs, congested ones too, with its 95 % interval; dotted: N_a of Table 5. "
     f"{CURVE_RUNS[S]} runs for each number of agents at S; {CURVE_RUNS[S_EVAL]} at S_eval, "
     f"{RUNS} for N_a.",

@@ -28,19 +28,23 @@ class Rule(NamedTuple):
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
     """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
-    best = "moves most at the largest size, and flowed there in runs under both planners"
+    best = "moved most of those tried at the largest size, and flowed there under both planners"
     regular = f"the best of the regular ones with few {noun}"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),
-        Rule("regular", "one pattern all over: the lowest entropy", f"-{ENTROPY}"),
-        Rule("varied", "no two corners alike: the highest entropy", ENTROPY),
+        Rule(
+            "regular", "one pattern all over: the lowest entropy of the better half", f"-{ENTROPY}"
+        ),
+        Rule("varied", "no two corners alike: the highest entropy of the better half", ENTROPY),
         Rule(f"few-{noun}", few, f"-{things}"),
         Rule(f"many-{noun}", many, things),
         Rule("orderly", "the best of the most regular tenth", "objective", tenth),
         Rule(f"orderly-few-{noun}", regular, "objective", (third, (f"-{things}", 0.3))),
-        Rule("clean", "draws plans that the repair changes least", "similarity"),
-        Rule("calm", "robots wait the least", "-waiting"),
-        Rule("short-ways", "the shortest ways from one finished task to the next", "-path_length"),
+        Rule("clean", "of the better half, the plan most like its drawing", "similarity"),
+        Rule("calm", "robots wait the least, of the better half", "-waiting"),
+        Rule(
+            "short-ways", "the shortest ways from task to task, of the better half", "-path_length"
+        ),
     )
 
 
@@ -72,8 +76,8 @@ def in_mazes(
 _WAREHOUSE = with_fleets(
     "connected shelf components",
     "blocks",
-    "long shelves: the fewest connected blocks",
-    "short shelves: the most connected blocks",
+    "long shelves: the fewest connected blocks of the better half",
+    "short shelves: the most connected blocks of the better half",
 )
 # By domain: the rule of the best, which orders its candidates, and those of the others.
 RULES: Mapping[str, tuple[Rule, ...]] = {
@@ -81,7 +85,10 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     # Few of its elites move much at the largest size: more are tried.
     "warehouse-uneven": (_WAREHOUSE[0]._replace(tried=72, apart=3), *_WAREHOUSE[1:]),
     "manufacturing": with_fleets(
-        "workstations", "stations", "the fewest stations", "the most stations"
+        "workstations",
+        "stations",
+        "the fewest stations of the better half",
+        "the most stations of the better half",
     ),
     "maze-walls": in_mazes(
         "number of walls",

@@ -3,8 +3,8 @@
 One loop, one folder per stage:
 
     parameters ─▶ generate ─▶ repair ─▶ simulate ─▶ score ─▶ search ─▶ next parameters
-                  (device)    (host     (device)   (device)  (device)
-                              callback)
+                  (device)    (host     (host or   (device)  (device)
+                              callback)  device)
 
 A neural cellular automaton draws a floor plan, a repair (simulated annealing, then a mixed-integer
 program where `polish` is full) changes little until every rule holds, a fleet of robots is
