@@ -150,14 +150,15 @@ class SavedLayout(Piece):
         """Make the unrepaired layout; return it with the seed of its repair."""
         domain = find_domain(self.domain).resized(*self.shape)
         if self.maker == "human":
-            layout = sizes.human_layout(domain)
+            assert domain.human is not None
+            layout = domain.human()
             domain = replace(domain, rules=None)  # people obey the rules: nothing is repaired
         elif self.maker == "seed":
             canvas = seed_canvas(domain.seed_block, *domain.generated_shape, domain.generated)
             layout = np.asarray(domain.frame(choose_tiles(canvas)))
             domain = replace(domain, rules=None)  # nothing is repaired here either
         elif self.maker == "tiled":
-            layout = sizes.tile_layout(domain, self.like.read(folders).layout)
+            layout = np.asarray(domain.frame(sizes.repeat(self.like.read(folders).layout, domain)))
         elif self.maker.startswith("random-"):
             drawn = random_like(self.like.read(folders).layout, int(self.maker[7:]))
             layout = np.asarray(domain.frame(drawn))

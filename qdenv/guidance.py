@@ -13,17 +13,12 @@ from __future__ import annotations
 import math
 import pkgutil
 from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
 
 from qdenv.grid import DOWN, LEFT, MOVES, NUM_MOVES, RIGHT, UP, move_steps, shift
 from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
-
-# Makes the costs of a floor: (traversable bool [H, W], for each kind of task the odds of each cell
-# to be its start and its end, float [L, 2, H, W]) -> float [5, H, W], or None for no guidance.
-Guidance: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray | None]
 
 _ONE = 64  # the mean cost of a move as a whole number: from a 64th to 16 times the mean fits
 _LEAST_ONE = 16  # the same where the dearest move would be dearer than that
@@ -163,7 +158,9 @@ def crisscross(traversable: np.ndarray, width: int = 1) -> np.ndarray:
     return costs
 
 
-GUIDANCE: dict[str, Guidance] = {
+# Each makes the costs of a floor: (traversable bool [H, W], for each kind of task the odds of each
+# cell to be its start and its end, float [L, 2, H, W]) -> float [5, H, W], or None for no guidance.
+GUIDANCE: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray | None]] = {
     "none": lambda traversable, legs: None,
     "crisscross": lambda traversable, legs: crisscross(traversable),
     "crisscross-pairs": lambda traversable, legs: crisscross(

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 
-class _LazyModule(ModuleType):
+class LazyModule(ModuleType):
     """A module that is imported when an attribute of it is first used."""
 
     def __getattr__(self, name: str) -> Any:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     import jax.numpy as jnp
     from scipy import ndimage
 else:
-    chex = _LazyModule("chex")
-    jax, jnp = _LazyModule("jax"), _LazyModule("jax.numpy")
-    ndimage = _LazyModule("scipy.ndimage")
+    chex = LazyModule("chex")
+    jax, jnp = LazyModule("jax"), LazyModule("jax.numpy")
+    ndimage = LazyModule("scipy.ndimage")
 
 __all__ = ["chex", "jax", "jnp", "ndimage"]

@@ -58,7 +58,7 @@ def folders(tmp_path, monkeypatch) -> Folders:
 def save(saved: SavedLayout, folders: Folders, layout: np.ndarray | None = None, **facts) -> None:
     """Save a layout as if it had been grown; the hand-made one unless given."""
     domain = find_domain(saved.domain).resized(*saved.shape)
-    layout = sizes.human_layout(domain) if layout is None else layout
+    layout = domain.human() if layout is None else layout
     facts = dict(steps=9, changed=3, unrepaired=draw_rows(layout, domain.tiles)) | facts
     facts["origin"] = saved.origin(folders)
     write_layout(saved.path(folders), layout, domain.tiles, **facts)

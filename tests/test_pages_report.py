@@ -18,7 +18,6 @@ from qdenv.guidance import crisscross
 from qdenv.io.layouts import write_layout
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
-from qdenv.study.elites import human_layout
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.table import Row, decide
 from qdenv.types import InputError
@@ -52,7 +51,7 @@ def folder(tmp_path_factory):
     """A folder with a plan of 7 x 11, the hand-made one of that size, and a maze."""
     place = tmp_path_factory.mktemp("reports")
     write_layout(place / "plan.json", parse(ROWS, TILES), TILES, domain="warehouse-even")
-    human = human_layout(WAREHOUSE.resized(7, 11))
+    human = WAREHOUSE.resized(7, 11).human()
     write_layout(place / "hand-made.json", human, TILES, domain="warehouse-even")
     (place / "maze.txt").write_text("XXXXXX\nX    X\nX XX X\nX X  X\nXXXXXX\n")
     return place
@@ -266,7 +265,7 @@ def test_the_hand_made_rival_has_the_same_stations_or_there_is_none(folder):
     assert rival.name == "hand-made"
     assert np.array_equal(rival.plan.layout, human.plan.layout)
     shelves = [int((one.plan.layout == 1).sum()) for one in (human, plan)]
-    assert "with {} shelves, not {}".format(*shelves) in rival.about
+    assert "with {} shelves, not {}".format(*shelves) in rival.source
     assert find_rival(plan, [plan, human]) is None  # compared with each other already
     assert find_rival(human, [human]) is None and find_rival(maze, [maze]) is None
     moved = plan.plan.layout.copy()
@@ -292,7 +291,7 @@ def test_layouts_and_runs_are_of_one_domain_and_named_once(folder):
     [(200, (100, 150, 200, 250, 300)), (800, (400, 600, 800, 948)), (1, (1, 2)), (2, (1, 2, 3))],
 )
 def test_numbers_of_robots_are_chosen_around_the_one_in_question(agents, counts):
-    plan = Plan("a", human_layout(WAREHOUSE), WAREHOUSE, False)  # of 948 free cells
+    plan = Plan("a", WAREHOUSE.human(), WAREHOUSE, False)  # of 948 free cells
     request = make_request([Subject("a", "a.json", plan)], [agents], None, FleetConfig, (0,))
     assert request.counts == counts and request.config.agents == counts[-1]
 

@@ -16,7 +16,6 @@ from qdenv.study.recordings import Maps
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
 from qdenv.view import COLUMN, PAGE, parse_width
-from qdenv.view.guidance import draw_guidance
 from qdenv.view.runs import draw_archives, draw_progress
 from qdenv.view.studies import draw_comparison, draw_over_agents, draw_peaks
 from qdenv.view.style import PALETTE, WARNING, format_name, new_figure, save_figure, styled
@@ -73,15 +72,12 @@ def every(monkeypatch):
             scene(), "plan, 10 agents: flows, more would fit", width
         ),
         "time": lambda width: draw_panel(scene(), "time", width),
-        "guidance": lambda width: draw_guidance(
-            scene().free, 1 + RNG.random((5, 12, 16)), RNG.random((5, 12, 16)), "plan", width
-        ),
     }
 
 
 KINDS = (
     "comparison", "bars", "peaks", "throughput", "success", "progress", "archives", "traffic",
-    "time", "guidance",
+    "time",
 )  # fmt: skip
 
 

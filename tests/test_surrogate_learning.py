@@ -12,12 +12,10 @@ from search_harness import QUICK
 from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.surrogates.surrogate import (
     STAGES,
-    Learner,
     Ring,
     Samples,
     Surrogate,
     errors,
-    learn,
 )
 from qdenv.types import Encoding, InputError
 
@@ -150,7 +148,7 @@ def test_weights_for_another_number_of_heads_are_refused():
         Surrogate(SurrogateConfig(weights=(1, 1, 10)), Encoding((4, 4), KINDS), 2)
 
 
-def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too():
+def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too(monkeypatch):
     # A loss that tells which rows it was given: 7 samples in minibatches of 3, for two epochs.
     seen = []
 
@@ -158,13 +156,17 @@ def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too():
         jax.debug.callback(lambda rows: seen.append(np.array(rows)), batch.numbers[:, 0])
         return jnp.square(variables["params"]).sum(), {}
 
-    optimiser = optax.adam(1e-3)
+    monkeypatch.setattr(Surrogate, "_loss", lambda *_: loss)
     numbers = jnp.arange(7.0)[:, None]
     blank = jnp.zeros((7, 1, 1))
     ring = Ring.empty(9, (1, 1), 1).add(Samples(blank, blank, blank, numbers), jnp.ones(7, bool))
-    params = jnp.ones(2)
-    learner = Learner({"params": params, "batch_stats": {}}, optimiser.init(params))
-    _, value = learn(loss, learner, optimiser, ring, 3, 2, jax.random.key(0))
+    surrogate = Surrogate(SurrogateConfig(minibatch=3), Encoding((1, 1), KINDS), 0)
+    params, fitted = jnp.ones(2), surrogate.init(jax.random.key(0))
+    learner = fitted.learners["score"]._replace(
+        variables={"params": params, "batch_stats": {}}, moments=optax.adam(1e-3).init(params)
+    )
+    fitted = fitted._replace(learners={"score": learner})
+    _, value = surrogate.fit_part(fitted, ring, jax.random.key(0), "score", 0, 2)
     jax.effects_barrier()
     assert len(seen) == 6 and float(value) < 2
     for epoch in (np.concatenate(seen[:3]), np.concatenate(seen[3:])):

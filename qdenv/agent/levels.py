@@ -166,26 +166,6 @@ class LevelBuffer(NamedTuple):
     serial: jax.Array  # int32, number of the level since the beginning
 
 
-def propose(
-    key: jax.Array,
-    buffer: LevelBuffer,
-    probabilities: jax.Array,
-    config: LevelConfig,
-    edits: bool,
-) -> Level:
-    """Draw a new level or, with `edits` in half of the cases, edit one that is worth replaying.
-
-    The probabilities of replay are float32 [C]. Consumes the key.
-    """
-    if not edits:
-        return draw_level(key, config)
-    keys = jax.random.split(key, 4)
-    parent = jax.random.choice(keys[0], probabilities.shape[0], p=probabilities)
-    edited = vary_level(keys[1], jax.tree.map(lambda x: x[parent], buffer.level), config)
-    new = draw_level(keys[2], config)
-    return jax.tree.map(lambda a, b: jnp.where(jax.random.bernoulli(keys[3]), a, b), edited, new)
-
-
 def new_buffer(key: jax.Array, size: int, config: LevelConfig) -> LevelBuffer:
     """Fill a buffer with drawn levels, a few at a time; consumes the key."""
     level = jax.lax.map(

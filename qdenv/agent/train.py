@@ -78,10 +78,19 @@ def _renew(
     """Propose new levels and let them in; `on_trial` after a trial without learning."""
     keys, fresh = jax.random.split(key), config.fresh
     probabilities = levels.replay_probabilities(state.buffer, state.update, on_trial)
-    edits = config.method == "accel"
-    proposed = jax.vmap(
-        lambda key: levels.propose(key, state.buffer, probabilities, config.levels, edits)
-    )(jax.random.split(keys[0], fresh))
+
+    def propose(key: jax.Array) -> levels.Level:
+        if config.method != "accel":
+            return levels.draw_level(key, config.levels)
+        # In half of the cases edit one that is worth replaying.
+        keys = jax.random.split(key, 4)
+        parent = jax.random.choice(keys[0], probabilities.shape[0], p=probabilities)
+        level = jax.tree.map(lambda x: x[parent], state.buffer.level)
+        edited = levels.vary_level(keys[1], level, config.levels)
+        new, edits = levels.draw_level(keys[2], config.levels), jax.random.bernoulli(keys[3])
+        return jax.tree.map(lambda a, b: jnp.where(edits, a, b), edited, new)
+
+    proposed = jax.vmap(propose)(jax.random.split(keys[0], fresh))
     score = jnp.zeros(fresh)
     if on_trial:
         trial, number = jax.random.split(keys[1]), jnp.arange(fresh)

@@ -34,50 +34,25 @@ from qdenv.interrupt import EXIT_CODE, discard_unfinished, last_words
 _WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 _LONGEST = 200  # characters of a file's name in a message
 
-# Group of help -> name of a command -> ``module:function``.
+# Group of help -> its commands, each a function of the package.
 GROUPS = {
-    "plans": {
-        "render": "qdenv.ops.layouts:render",
-        "check": "qdenv.ops.layouts:check",
-        "repair": "qdenv.ops.layouts:repair",
-        "convert": "qdenv.ops.convert:convert",
-        "layout human": "qdenv.ops.layouts:layout_human",
-        "layout tile": "qdenv.ops.layouts:layout_tile",
-        "layout symbols": "qdenv.ops.layouts:layout_symbols",
-    },
-    "traffic": {
-        "simulate": "qdenv.ops.traffic:simulate",
-        "replay": "qdenv.ops.pages:replay",
-        "compare": "qdenv.ops.studies:compare",
-        "sweep": "qdenv.ops.studies:sweep",
-        "scalability": "qdenv.ops.studies:scalability",
-        "report": "qdenv.ops.pages:report",
-        "guide": "qdenv.ops.guidance:guide",
-        "audit-run": "qdenv.ops.traffic:audit_run",
-    },
-    "search": {
-        "improve": "qdenv.ops.improve:improve",
-        "zoo": "qdenv.ops.searches:zoo",
-        "presets": "qdenv.ops.searches:presets",
-        "train": "qdenv.ops.searches:train",
-        "resume": "qdenv.ops.searches:resume",
-        "plot": "qdenv.ops.runs:plot",
-        "generate": "qdenv.ops.runs:generate",
-        "series": "qdenv.ops.runs:series",
-        "explore": "qdenv.ops.pages:explore",
-        "export": "qdenv.ops.runs:export",
-        "surrogate": "qdenv.ops.networks:surrogate",
-    },
-    "mazes": {
-        "train-agent": "qdenv.ops.networks:train_agent",
-        "evaluate-agent": "qdenv.ops.networks:evaluate_agent",
-        "convert-agent": "qdenv.ops.networks:convert_agent",
-    },
-    "shell": {
-        "completion": "qdenv.cli.completion:completion",
-    },
+    group: names.split(", ")
+    for group, names in {
+        "plans": "render, check, repair, convert, layout human, layout tile, layout symbols",
+        "traffic": "simulate, replay, compare, sweep, scalability, report, guide, audit-run",
+        "search": "improve, zoo, presets, train, resume, plot, generate, series, explore, export, "
+        "surrogate",
+        "mazes": "train-agent, evaluate-agent, convert-agent",
+        "shell": "completion",
+    }.items()
 }
-COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
+_STUB = Path(qdenv.__file__).with_suffix(".pyi").read_text()  # says where functions are defined
+_PLACES = {"completion": "qdenv.cli.completion:completion"} | {
+    name: f"qdenv.{module}:{name}"
+    for module, name in re.findall(r"from \.(ops\.\w+) import (\w+)", _STUB)
+}
+# Name of a command -> ``module:function``.
+COMMANDS = {name: _PLACES[re.sub("[ -]", "_", name)] for names in GROUPS.values() for name in names}
 
 
 def run(words: list[str]) -> int:

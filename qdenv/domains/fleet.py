@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from qdenv.domains.base import Simulator
-from qdenv.lazy import jax, jnp
+from qdenv.lazy import LazyModule, jax, jnp
 from qdenv.simulation.mapf.settings import PLANNERS, FleetConfig
-from qdenv.types import Array, TaskRule, Traffic
+from qdenv.types import TaskRule, Traffic
 
+# Imported when it first runs: it loads both compilers.
+fleet: Any = LazyModule("qdenv.simulation.mapf.fleet")
 THROUGHPUT = "throughput [tasks per timestep]"
 
 
@@ -16,31 +18,16 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
     """Make the simulator of lifelong multi-agent path finding, whose runs are `Traffic`.
 
     Li et al. 2021, https://arxiv.org/abs/2005.07371: agents get a new goal at each goal, and plan
-    again every few timesteps.
-
-    Args:
-        tasks: where agents drive, and what they do.
-        config: numbers of agents and timesteps, and the planner.
+    again every few timesteps. `tasks` says where they drive and what they do, `config` how many
+    they are, for how long, and by which planner.
     """
-
-    # The simulation is imported when it first runs: it loads both compilers.
-    def prepare(layout: Array, costs: Array | None = None) -> Any:
-        from qdenv.simulation.mapf import fleet
-
-        return fleet.prepare(layout, tasks, config, costs)
-
-    def run(world: Any, key: jax.Array) -> Traffic:
-        from qdenv.simulation.mapf import fleet
-
-        return fleet.simulate(world, key, config)
-
-    def count_moves(world: Any, key: jax.Array) -> jax.Array:
-        from qdenv.simulation.mapf import fleet
-
-        return fleet.count_moves(world, key, config)
-
-    on_host = lambda: PLANNERS.make(config.planner).on_host  # noqa: E731
-    return Simulator(prepare, run, tasks, count_moves, on_host=on_host)
+    return Simulator(
+        prepare=lambda layout, costs=None: fleet.prepare(layout, tasks, config, costs),
+        run=lambda world, key: fleet.simulate(world, key, config),
+        tasks=tasks,
+        count_moves=lambda world, key: fleet.count_moves(world, key, config),
+        on_host=lambda: PLANNERS.make(config.planner).on_host,
+    )
 
 
 def throughput(layout: Any, runs: Traffic) -> jax.Array:

@@ -6,22 +6,21 @@ import hashlib
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from qdenv import devices, score
 from qdenv.domains.base import Domain, DomainConfig, KnownSize, Simulator, environment_entropy
 from qdenv.generators import inside_frame
-from qdenv.lazy import jax, jnp
+from qdenv.lazy import LazyModule, jax, jnp
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
 from qdenv.simulation.maze import policy, world
 from qdenv.types import Measure, Tile
 
-if TYPE_CHECKING:
-    from qdenv.simulation.maze.episode import Episode
-
+# Imported when it first runs: it loads jax.
+episode: Any = LazyModule("qdenv.simulation.maze.episode")
 _MARGIN = (1, 1)
 _MEANINGS = {
     " ": Tile("empty", "the agent walks here; the longest path joins start and goal"),
@@ -66,33 +65,20 @@ def checksum_of_agent(agent: str) -> str:
     return digest.hexdigest()
 
 
-def _maze_simulator(config: MazeConfig) -> Simulator:
-    """Make the maze's simulator, whose runs are `Episode`."""
+def maze(config: MazeConfig) -> Domain:
+    """Make a maze of one size; the type of the settings chooses its first measure."""
 
     def weights() -> policy.Weights:
         return jax.tree.map(jnp.asarray, agent_weights(config.agent))
 
-    def run(prepared: Any, key: jax.Array) -> Episode:
-        from qdenv.simulation.maze import episode  # late: it imports jax, which takes seconds
-
+    def run(prepared: Any, key: jax.Array) -> Any:
         loop = episode.until_done if devices.on_cpu() else episode.all_timesteps
         return episode.run_episode(weights(), prepared, key, config.timesteps, loop)
 
-    return Simulator(
-        prepare=lambda layout: policy.prepare(weights(), layout),
-        run=run,
-        accelerator_lanes=_ACCELERATOR_LANES,
-        layout_at_once=True,
-    )
-
-
-def maze(config: MazeConfig) -> Domain:
-    """Make a maze of one size; the type of the settings chooses its first measure."""
-
-    def walls(layout: jax.Array, runs: Episode) -> jax.Array:
+    def walls(layout: jax.Array, runs: Any) -> jax.Array:
         return score.count(inside_frame(layout, _MARGIN), "X", world.TILES)
 
-    def path_length(layout: jax.Array, runs: Episode) -> jax.Array:
+    def path_length(layout: jax.Array, runs: Any) -> jax.Array:
         return runs.length.mean(dtype=jnp.float32)  # an episode that fails counts in full
 
     def start_and_goal(layout: np.ndarray) -> dict[str, int]:
@@ -110,7 +96,12 @@ def maze(config: MazeConfig) -> Domain:
         margin=_MARGIN,
         frame=lambda area: jnp.pad(area, 1, constant_values=world.WALL),
         rules=None,
-        simulator=_maze_simulator(config),
+        simulator=Simulator(
+            prepare=lambda layout: policy.prepare(weights(), layout),
+            run=run,
+            accelerator_lanes=_ACCELERATOR_LANES,
+            layout_at_once=True,
+        ),
         objective=lambda layout, runs: world.is_solvable(layout).astype(jnp.float32),
         objective_name="solvable [0 or 1]",
         # Nearly every maze is solvable; among those the one with the longest way shows most.

@@ -18,7 +18,7 @@ from qdenv.grid import parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
-from qdenv.simulation.mapf.goals import favour_left, tile_goal
+from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Array, InputError, Rules, Tile
 
@@ -72,11 +72,15 @@ class UnevenWarehouseConfig(WarehouseConfig):
 
 def warehouse(config: WarehouseConfig) -> Domain:
     """Make a warehouse of one size: a hall whose stations and free lanes follow from its size."""
-    stations = favour_left(tile_goal("w", _TILES), config.left_odds)
-    plain, shape = (
-        storage(config, _TILES, tile_goal("e", _TILES), stations),
-        (config.rows, config.cols),
-    )
+    stations, shape = tile_goal("w", _TILES), (config.rows, config.cols)
+
+    def weight(layout: Array) -> Array:
+        left = np.arange(layout.shape[1])[None] == 0
+        odds = np.where(left, np.float32(config.left_odds), np.float32(1))
+        return odds * stations.weight(layout)
+
+    by_odds = stations._replace(weight=weight)
+    plain = storage(config, _TILES, tile_goal("e", _TILES), by_odds)
     # S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
     agents = 1000 if isinstance(config, UnevenWarehouseConfig) else 1400
     known = KnownSize(steps=200, timesteps=5000, agents=agents, numbers={"shelves": 2500})

@@ -7,7 +7,7 @@ name that ends in .toml. What is stated above counts more.
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,6 @@ from qdenv.ranges import PositiveFloat, PositiveInt, Ranged, read_range
 from qdenv.types import InputError, about
 
 FENCE = "+++"  # a line before and after facts above a drawing
-# Names of facts; any other is a setting of the domain.
-FACTS = (
-    "domain",
-    "legend",
-    "layers",
-    "shelves",
-    "robots",
-    "cell",
-    "seconds_per_step",
-    "keep",
-    "drawing",
-)
 _HEAD = "# Written by qdenv beside the plan of this name.\n"  # such a file may be replaced
 
 
@@ -56,6 +44,10 @@ class PlanFacts(Ranged):
         names = "robots", "cell", "seconds_per_step"
         facts = {name: one for name in names if (one := getattr(self, name)) is not None}
         return {"facts": facts} if facts else {}
+
+
+# Names of facts; any other is a setting of the domain.
+FACTS = tuple(one.name for one in fields(PlanFacts) if one.name != "settings")
 
 
 def parse_facts(text: str, source: Path) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from qdenv.types import InputError, Tile, choices
 class Format(NamedTuple):
     """One format."""
 
-    about: str  # what it is
     # the endings of its files, and what such a file holds beside tiles: fields of `Drawing`, keys
     # of its details
     endings: Mapping[str, tuple[str, ...]]
@@ -36,57 +35,31 @@ _SEVERAL = (".yaml",)  # endings of which no format is the usual one
 # Of several with the same ending, the first one is meant where nothing else says which.
 FORMATS: dict[str, Format] = {
     "json": Format(
-        "layouts as published, with all facts",
-        {".json": ("weights", *_ROBOTS, "details")},
-        *(_LAYOUTS, "read_json_rows", "write_json_rows"),
+        {".json": ("weights", *_ROBOTS, "details")}, _LAYOUTS, "read_json_rows", "write_json_rows"
     ),
-    "text": Format("a drawing", {".txt": ()}, _LAYOUTS, "read_text_rows", "write_text_rows"),
-    "csv": Format(
-        "a table, or costs of moves",
-        {".csv": ("weights",)},
-        *(_LAYOUTS, "read_csv_rows", "write_csv_rows"),
-    ),
-    "movingai": Format(
-        "a map of the MovingAI benchmarks", {".map": ()}, _MAPS, "read_map", "write_movingai"
-    ),
-    "scen": Format(
-        "starts and goals of the MovingAI benchmarks",
-        {".scen": _ROBOTS},
-        *(_MAPS, "read_scen", "write_scen", (".map",)),
-    ),
-    "lorr": Format(
-        "map or problem of the League of Robot Runners",
+    "text": Format({".txt": ()}, _LAYOUTS, "read_text_rows", "write_text_rows"),
+    "csv": Format({".csv": ("weights",)}, _LAYOUTS, "read_csv_rows", "write_csv_rows"),
+    "movingai": Format({".map": ()}, _MAPS, "read_map", "write_movingai"),
+    "scen": Format({".scen": _ROBOTS}, _MAPS, "read_scen", "write_scen", (".map",)),
+    "lorr": Format(  # the League of Robot Runners
         {".json": (*_ROBOTS, "details"), ".map": ()},
         *(_MAPS, "read_lorr", "write_lorr", (".map", ".agents", ".tasks")),
     ),
     "rhcr": Format(
-        "map or grid of RHCR",
         {".grid": ("weights", "starts"), ".map": ("starts", "maxtime")},
         *(_MAPS, "read_rhcr", "write_rhcr"),
     ),
-    "pogema": Format("a map of POGEMA", {".txt": ()}, _MAPS, "read_pogema", "write_pogema"),
-    "png": Format("a picture, one pixel a cell", {".png": ()}, _IMAGES, "read_png", "write_png"),
-    "xlsx": Format(
-        "a sheet of Excel, one tile a cell", {".xlsx": ()}, _IMAGES, "read_xlsx", "write_xlsx"
+    "pogema": Format({".txt": ()}, _MAPS, "read_pogema", "write_pogema"),
+    "png": Format({".png": ()}, _IMAGES, "read_png", "write_png"),
+    "xlsx": Format({".xlsx": ()}, _IMAGES, "read_xlsx", "write_xlsx"),
+    "dxf": Format({".dxf": ("cell",)}, "qdenv.io.dxf", "read_dxf", "write_dxf"),
+    "lif": Format(  # VDMA's layout interchange format
+        dict.fromkeys((".lif", ".lif.json", ".json"), _LANES), _ROADS, "", "write_lif"
     ),
-    "dxf": Format(
-        "a drawing of CAD, a layer for each tile",
-        {".dxf": ("cell",)},
-        *("qdenv.io.dxf", "read_dxf", "write_dxf"),
-    ),
-    "lif": Format(
-        "VDMA's layout interchange format",
-        {".lif": _LANES, ".lif.json": _LANES, ".json": _LANES},
-        *(_ROADS, "", "write_lif"),
-    ),
-    "rmf": Format("a navigation graph of Open-RMF", {".yaml": _LANES}, _ROADS, "", "write_rmf"),
-    "nav2": Format(
-        "a graph of Nav2's route server", {".geojson": _LANES}, _ROADS, "", "write_nav2"
-    ),
+    "rmf": Format({".yaml": _LANES}, _ROADS, "", "write_rmf"),
+    "nav2": Format({".geojson": _LANES}, _ROADS, "", "write_nav2"),
     "ros": Format(
-        "a map of ROS",
-        {".pgm": ("cell",), ".yaml": ("cell",)},
-        *(_ROADS, "", "write_ros", (".yaml", ".pgm")),
+        {".pgm": ("cell",), ".yaml": ("cell",)}, _ROADS, "", "write_ros", (".yaml", ".pgm")
     ),
 }
 ALL_ENDINGS = tuple(dict.fromkeys(ending for one in FORMATS.values() for ending in one.endings))

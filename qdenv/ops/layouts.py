@@ -253,11 +253,11 @@ def layout_human(
         ``qdenv layout human --rows 33 --cols 36 --out hand.txt``
     """
     check_size(rows, cols)
-    from qdenv.study import elites as sizes  # imports jax
-
     found = find_domain(domain).resized(rows, cols)
     target = place(out, "layout.json", endings_for(found.tiles, found.meanings))
-    drawn = sizes.human_layout(found)
+    if found.human is None:
+        raise InputError(f"{found.name} has no hand-made design: choose another domain")
+    drawn = found.human()
     details = {"domain": found.name, "design": "human"}
     made = Layout(drawn, found, details, {"rows": rows, "cols": cols, **details})
     names = [found.names.get(tile, repr(tile)) for tile in found.tiles]

@@ -6,13 +6,17 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, Unpack
 
+import numpy as np
 from tyro.conf import Positional, Suppress, arg
 
 from qdenv import devices
+from qdenv.domains.base import make_domain
 from qdenv.ops import options as args
 from qdenv.ops.output import format_duration, place, say
 from qdenv.progress import Bar
 from qdenv.ranges import NonNegativeInt, PositiveInt, Ranged, Seed
+from qdenv.run.directory import RunDirectory
+from qdenv.shipped import PREFIX, file_name
 from qdenv.simulation.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import recordings as studies
 from qdenv.study.options import fleet_tasks
@@ -21,7 +25,7 @@ from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
 from qdenv.types import InputError
 from qdenv.view.page import Page, require_package
-from qdenv.view.report_subjects import Subject, distinct, is_run, subject_of_run
+from qdenv.view.report_subjects import Subject, distinct
 
 if TYPE_CHECKING:  # imports the simulator
     from qdenv.view.report_fleet import FleetRequest
@@ -253,9 +257,15 @@ def report(
     counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
     options, subjects = args.Fleet(fleet), []
     for one in given:
-        if is_run(one):
-            subject = subject_of_run(args.open_run(one))
-            subjects.append(subject._replace(plan=options.guide(subject.plan)))
+        named = isinstance(one, str | Path)
+        if isinstance(one, RunDirectory) or (
+            named and (str(one).startswith(PREFIX) or Path(one).is_dir())
+        ):
+            run = args.open_run(one)
+            name = str(run.shipped).removeprefix(PREFIX) if run.shipped else file_name(run.path)
+            domain = make_domain(run.config.evaluation.domain)
+            best = Plan(name, np.asarray(run.best.layout), domain, assumed=False)
+            subjects.append(Subject(name, str(run), options.guide(best), run))
         else:
             plan = options.read_plan(one)
             subjects.append(Subject(plan.name, args.name_of(one), plan))

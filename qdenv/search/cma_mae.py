@@ -50,9 +50,6 @@ SELECTIONS: dict[str, Selection] = {
     "filter": lambda accepted, successes, batch: accepted,
 }
 
-# A restart rule decides from (accepted rows of each emitter int32 [E], iterations int32): bool [E].
-RestartRule = Callable[[jax.Array, jax.Array], jax.Array]
-
 # A batch as emitters learn from it: (solutions float [E * b, P], `Score` [E * b], how the learning
 # archive received them). Rows whose score is no success have failed.
 Scored = tuple[jax.Array, Score, Insertion]
@@ -92,8 +89,11 @@ def is_flat(keys: tuple[Array, ...], order: jax.Array, successes: jax.Array) -> 
     return (successes >= 2) & (jnp.sqrt(jnp.square(gaps).sum()) < _FLAT)
 
 
-def restart_rule(rule: str | int) -> RestartRule:
-    """Look up the restart rule of a setting: "no_improvement", "basic" or a positive period."""
+def restart_rule(rule: str | int) -> Callable[[jax.Array, jax.Array], jax.Array]:
+    """Look up the restart rule of a setting: "no_improvement", "basic" or a positive period.
+
+    It decides from accepted rows of each emitter (int32 [E]) and iterations (int32): bool [E].
+    """
     if rule == "no_improvement":
         return lambda accepted, iterations: accepted == 0
     if rule == "basic":

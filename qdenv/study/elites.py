@@ -319,29 +319,13 @@ def spread(cells: np.ndarray, first: int) -> Iterator[int]:
         row = int(distance.argmax())
 
 
-def human_layout(domain: Domain) -> np.ndarray:
-    """Draw what people design for `domain` at its size (int8 [H, W]; appendix D.2).
+def repeat(grid: Array, domain: Domain) -> np.ndarray:
+    """Repeat what is inside the frame of a small grid (any [h, w]) over that of a larger layout.
 
-    Raises InputError if there is no hand-made design for this domain, or the size is too small.
+    The copies start in the upper left corner; those at the right and at the bottom are cut.
+    `domain` is at the larger size. Raises InputError if the layout is smaller than the frame.
     """
-    if domain.human is None:
-        raise InputError(f"{domain.name} has no hand-made design: choose another domain")
-    return domain.human()
-
-
-def tile_layout(domain: Domain, layout: np.ndarray) -> np.ndarray:
-    """Repeat the generated area of a small layout until it fills a larger one (section E.4).
-
-    The copies start in the upper left corner; those at the right and at the bottom are cut. The
-    frame is drawn again; nothing is repaired. `domain` is at the larger size. Raises InputError if
-    the larger layout is smaller than the frame.
-    """
-    return np.asarray(domain.frame(repeat(inside_frame(layout, domain.margin), domain)))
-
-
-def repeat(inside: Array, domain: Domain) -> np.ndarray:
-    """Repeat a grid (any [h, w]) over the generated area; raise InputError if there is none."""
-    height, width = domain.generated_shape
+    inside, (height, width) = inside_frame(grid, domain.margin), domain.generated_shape
     if min(height, width) < 1 or inside.size == 0:
         rows, cols = domain.shape
         raise InputError(f"{rows} x {cols} leaves no room inside the frame: give a larger size")
@@ -358,18 +342,19 @@ def tile(
 ) -> Sized:
     """Tile a small plan to a larger shape and repair it, with its costs of moves (section E.4).
 
+    The frame is drawn again.
     Numbers of tiles that are left out are those known of the size, or else the small layout's,
     scaled with the area. Raises InputError if the size is impossible, or no repair was found.
     """
     larger = plan.domain.fitted(plan.layout).resized(*shape, numbers)
-    tiled = tile_layout(larger, plan.layout)
+    tiled = np.asarray(larger.frame(repeat(plan.layout, larger)))
     # Walls and stations are repeated, too.
     fitted = larger.fitted(tiled, larger.numbers | dict(numbers or {}))
     sized = finish(Unrepaired(fitted, None, tiled, 0, config or RepairConfig()), seed)
     rows, cols = larger.margin
 
     def adapt(grid: np.ndarray) -> np.ndarray:
-        inside = repeat(inside_frame(grid, larger.margin), larger)
-        return np.pad(inside, ((rows, rows), (cols, cols)))  # no move begins in the frame
+        # No move begins in the frame.
+        return np.pad(repeat(grid, larger), ((rows, rows), (cols, cols)))
 
     return sized._replace(costs=keep_costs(plan, sized.layout, adapt))

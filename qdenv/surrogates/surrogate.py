@@ -112,50 +112,6 @@ class Learner(NamedTuple):
     moments: Any  # Adam's
 
 
-# (variables, samples) -> (loss float32, running statistics after it)
-Loss = Callable[[Any, Samples], tuple[jax.Array, Any]]
-
-
-def learn(
-    loss: Loss,
-    learner: Learner,
-    optimiser: optax.GradientTransformation,
-    ring: Ring,
-    minibatch: int,
-    epochs: int | jax.Array,
-    key: jax.Array,
-    first: int | jax.Array = 0,
-) -> tuple[Learner, jax.Array]:
-    """Fit one network to all samples of a ring; return it, and the mean loss of its last epoch.
-
-    The last minibatch of an epoch is filled up with the epoch's first samples. Epochs are counted
-    from `first`, so that a fit may be cut in pieces. Without samples the network stays as it is.
-    Consumes `key`.
-    """
-    size, count = ring.samples.numbers.shape[0], ring.known
-    steps = (count + minibatch - 1) // minibatch
-
-    def epoch(number: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
-        order = shuffled(jax.random.fold_in(key, number), size, count)
-
-        def step(i: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
-            (variables, moments), total = now
-            rows = order[(i * minibatch + jnp.arange(minibatch)) % jnp.maximum(count, 1)]
-            batch = jax.tree.map(lambda leaf: leaf[rows], ring.samples)
-            (value, stats), slope = jax.value_and_grad(
-                lambda params: loss({**variables, "params": params}, batch), has_aux=True
-            )(variables["params"])
-            change, moments = optimiser.update(slope, moments, variables["params"])
-            params = optax.apply_updates(variables["params"], change)
-            variables = {**variables, "params": params, "batch_stats": stats}
-            return Learner(variables, moments), total + value
-
-        learner, total = jax.lax.fori_loop(0, steps, step, (now[0], jnp.float32(0)))
-        return learner, total / jnp.maximum(steps, 1)
-
-    return jax.lax.fori_loop(first, epochs, epoch, (learner, jnp.float32(0)))
-
-
 STAGES = ("repair", "usage", "score")  # the networks, in the order in which they learn
 
 
@@ -222,8 +178,11 @@ class Surrogate:
 
     def _loss(
         self, name: str, learners: dict[str, Learner], scale: tuple[jax.Array, jax.Array]
-    ) -> Loss:
-        """Make the loss of one network; those before it are fixed."""
+    ) -> Callable[..., tuple[jax.Array, Any]]:
+        """Make the loss of one network; those before it are fixed.
+
+        It takes variables and samples, and returns also the running statistics after it.
+        """
 
         def loss(variables: Any, batch: Samples) -> tuple[jax.Array, Any]:
             maps = self._inputs(learners, batch.drawn)[name]
@@ -262,20 +221,35 @@ class Surrogate:
         """Fit the network `name` from epoch `first` to the one before `last`.
 
         Returns what is learnt, and the mean loss of the last epoch. This is `fit` in pieces, to
-        show progress between them; all take the same key.
+        show progress between them; all take the same key. The last minibatch of an epoch is filled
+        up with the epoch's first samples. Without samples the network stays as it is.
         """
-        config = self._config
-        scale = _scale(ring) if config.standardise else (fitted.centre, fitted.spread)
-        learner, mean = learn(
-            self._loss(name, fitted.learners, scale),
-            fitted.learners[name],
-            self._optimiser,
-            ring,
-            config.minibatch,
-            last,
-            jax.random.fold_in(key, self.stages.index(name)),
-            first,
-        )
+        minibatch, size, count = self._config.minibatch, len(ring.samples.numbers), ring.known
+        scale = _scale(ring) if self._config.standardise else (fitted.centre, fitted.spread)
+        loss = self._loss(name, fitted.learners, scale)
+        key = jax.random.fold_in(key, self.stages.index(name))
+        steps = (count + minibatch - 1) // minibatch
+
+        def epoch(number: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
+            order = shuffled(jax.random.fold_in(key, number), size, count)
+
+            def step(i: jax.Array, now: tuple[Learner, jax.Array]) -> tuple[Learner, jax.Array]:
+                (variables, moments), total = now
+                rows = order[(i * minibatch + jnp.arange(minibatch)) % jnp.maximum(count, 1)]
+                batch = jax.tree.map(lambda leaf: leaf[rows], ring.samples)
+                (value, stats), slope = jax.value_and_grad(
+                    lambda params: loss({**variables, "params": params}, batch), has_aux=True
+                )(variables["params"])
+                change, moments = self._optimiser.update(slope, moments, variables["params"])
+                params = optax.apply_updates(variables["params"], change)
+                variables = {**variables, "params": params, "batch_stats": stats}
+                return Learner(variables, moments), total + value
+
+            learner, total = jax.lax.fori_loop(0, steps, step, (now[0], jnp.float32(0)))
+            return learner, total / jnp.maximum(steps, 1)
+
+        begin = fitted.learners[name], jnp.float32(0)
+        learner, mean = jax.lax.fori_loop(first, last, epoch, begin)
         return Fitted({**fitted.learners, name: learner}, *scale, fitted.fits), mean
 
     def fit(

@@ -15,7 +15,7 @@ from matplotlib.quiver import Quiver
 from qdenv.grid import DOWN, RIGHT, WAIT
 from qdenv.guidance import backwards, preferences
 from qdenv.view import SCREEN
-from qdenv.view.style import ABREAST, PALETTE, new_grid, styled
+from qdenv.view.style import PALETTE, new_grid, styled
 
 # Colours of arrows to the right, left, down and up, which colour-blind people can distinguish.
 ARROWS = PALETTE[:4]
@@ -26,14 +26,6 @@ _YELLOW = ListedColormap([(0.94, 0.89, 0.26, 0.35)])  # a veil
 _DEAR = 1.4  # times the average cost of waiting
 _CELL = 0.085  # inches of a cell in which an arrow can be read
 _MOST_PATHS = 5000
-
-
-def net_moves(moves: np.ndarray) -> np.ndarray:
-    """Return by how many moves to the right or down others are outnumbered (float [2, H, W]).
-
-    `moves` is [5, H, W], see `recordings.count_moves`; the places are those of `preferences`.
-    """
-    return moves[[RIGHT, DOWN]] - backwards(moves, 0.0)
 
 
 def share_along(preferred: np.ndarray, moves: np.ndarray) -> float:
@@ -55,30 +47,19 @@ def pack_arrows(preferred: np.ndarray) -> np.ndarray:
 
 
 @styled
-def draw_guidance(
-    free: np.ndarray,
-    costs: np.ndarray,
-    moves: np.ndarray | None = None,
-    title: str = "",
-    width: float | None = None,
-) -> Figure:
-    """Draw which ways are cheaper, and beside it which ways agents drove, if `moves` are given.
+def draw_guidance(free: np.ndarray, costs: np.ndarray, moves: np.ndarray, title: str) -> Figure:
+    """Draw which ways are cheaper, and beside it which ways agents drove.
 
     `free` (bool [H, W]) are the cells that agents may drive on, `costs` ([5, H, W]) those of each
-    move, `moves` ([5, H, W]) what `recordings.count_moves` counts. The picture is `width` inches
-    wide, as many as large layouts need unless given.
+    move, `moves` ([5, H, W]) what `recordings.count_moves` counts.
     """
-    panels = 1 if moves is None else 2
     rows, cols = free.shape
-    width = width or panels * float(np.clip(_CELL * cols, SCREEN / 2, SCREEN))
-    across = panels if width >= ABREAST else 1
-    side = width / across
+    side = float(np.clip(_CELL * cols, SCREEN / 2, SCREEN))  # inches of a panel
     size = side, side * float(np.clip(rows / cols, 0.4, 1.6)) + 0.7
-    figure, (first, *others) = new_grid(panels, across, size, (0, 0.3))
+    figure, (first, second) = new_grid(2, 2, size, (0, 0.3))
     figure.suptitle(title)
     draw_preferences(first, free, costs)
-    if moves is not None:
-        draw_flow(others[0], free, costs, moves)
+    draw_flow(second, free, costs, moves)
     return figure
 
 
@@ -99,7 +80,10 @@ def draw_preferences(axes: Axes, free: np.ndarray, costs: np.ndarray) -> None:
 def draw_flow(axes: Axes, free: np.ndarray, costs: np.ndarray, moves: np.ndarray) -> None:
     """Draw the ways that more agents drove than the opposite ones, and how many obey."""
     _draw_floor(axes, free)
-    along, net = share_along(preferences(costs, free), moves), net_moves(moves)
+    along, net = (
+        share_along(preferences(costs, free), moves),
+        moves[[RIGHT, DOWN]] - backwards(moves, 0.0),
+    )
     obey = "" if np.isnan(along) else f": {along:.0%} the cheaper way"
     axes.set_title(f"where agents drove{obey}")
     # A few busy cells must not pale all others.

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.domains.base import Domain, make_domain
 from qdenv.run.directory import RunDirectory
-from qdenv.shipped import PREFIX, file_name
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 from qdenv.view.page import listed
@@ -21,36 +18,10 @@ class Subject(NamedTuple):
     """A floor plan that is reported on."""
 
     name: str  # how the page calls it
-    source: str  # the file or run that it comes from, as the command line names it
+    # the file or run that it comes from, as the command line names it; of a rival, what it holds
+    source: str
     plan: Plan  # the layout and its domain
     run: RunDirectory | None = None  # the run whose best elite it is; None for a file
-
-
-class Rival(NamedTuple):
-    """The layout that people draw by hand, to compare with."""
-
-    name: str  # how the page calls it
-    plan: Plan  # its layout and domain
-    about: str  # what it holds, and where that differs
-
-
-def is_run(source: Any) -> bool:
-    """Return True if a source is or names a run, False for a layout or its file."""
-    named = isinstance(source, str | Path)
-    return isinstance(source, RunDirectory) or (
-        named and (str(source).startswith(PREFIX) or Path(source).is_dir())
-    )
-
-
-def subject_of_run(run: RunDirectory) -> Subject:
-    """Make a subject of the best elite of a run.
-
-    Raises InputError if it has none.
-    """
-    domain = make_domain(run.config.evaluation.domain)
-    name = str(run.shipped).removeprefix(PREFIX) if run.shipped else file_name(run.path)
-    plan = Plan(name, np.asarray(run.best.layout), domain, assumed=False)
-    return Subject(name, str(run), plan, run)
 
 
 def distinct(subjects: Sequence[Subject]) -> list[Subject]:
@@ -71,27 +42,19 @@ def distinct(subjects: Sequence[Subject]) -> list[Subject]:
     return named
 
 
-def describe_contents(layout: np.ndarray, domain: Domain) -> str:
-    """Write the size of a layout (int8 [H, W]) and its numbers of tiles."""
-    rows, cols = layout.shape
-    counts = [f"{number:,} {name}" for name, number in domain.fitted(layout).numbers.items()]
-    return f"{rows} x {cols} cells" + (f" with {listed(counts)}" if counts else "")
-
-
-def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival | None:
+def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Subject | None:
     """Draw what people design by hand around the same stations; None where there is no such layout.
 
     Where stations stand decides much of what a floor plan moves: one with others says nothing about
     the rest. One of the `subjects` of the report is no rival: all are compared with the first one.
     """
     domain, layout = subject.plan.domain, subject.plan.layout
-    if domain.human is None:
-        return None
-    from qdenv.study.elites import human_layout  # imports both compilers
-
     try:
-        human = human_layout(domain.resized(*layout.shape))
+        design = domain.resized(*layout.shape).human
+        human = design and design()
     except InputError:
+        return None
+    if human is None:
         return None
     # Tiles that no generator draws: stations, and walls.
     fixed = [kind for kind, tile in enumerate(domain.tiles) if tile not in domain.generated]
@@ -107,4 +70,4 @@ def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival | None:
     differ = [f"{other[kind]} {kind}, not {own[kind]}" for kind in own if own[kind] != other[kind]]
     holds = f", with {listed(differ)}" if differ else ""
     about = f"What people draw by hand at {size}, around the same stations{holds}."
-    return Rival(name, Plan(name, human, domain, assumed=False), about)
+    return Subject(name, about, Plan(name, human, domain, assumed=False))

@@ -248,31 +248,26 @@ def _run(
     return Outcome(counters, _headings(world, fleet), first.position, kept, fleet.orders)
 
 
-def _select_active_agents(
-    world: World, config: FleetConfig, agents: Array | None
-) -> tuple[World, jax.Array]:
-    """Choose who takes part (bool [A]); without room for them the world is not valid."""
+def _simulate(
+    world: World,
+    key: jax.Array | None,
+    config: FleetConfig,
+    agents: Array | None,
+    keep: bool,
+    outcome: Outcome | None = None,
+) -> _Report:
+    """Simulate, unless the outcome is known, and report; the recording is None unless `keep`."""
     chex.assert_rank(world.traversable, 2)
     count = jnp.asarray(config.agents if agents is None else agents)
     chex.assert_rank(count, 0)
+    # Without room for those who take part the world is not valid.
     room = (world.traversable.sum() >= count) & (count <= config.agents)
-    return replace(world, valid=world.valid & room), jnp.arange(config.agents) < count
-
-
-def _report(
-    world: World, outcome: Outcome, active: jax.Array, config: FleetConfig, keep: bool
-) -> _Report:
-    """Turn what a run leaves behind into records; the recording is None unless `keep`."""
+    world, active = replace(world, valid=world.valid & room), jnp.arange(config.agents) < count
+    if outcome is None:
+        assert key is not None
+        outcome = _run(world, chance.seed_of(key), config, active, keep)
     recording = recording_of(outcome, active, world, config.timesteps) if keep else None
     return summarise(world, outcome, active, config.timesteps), recording
-
-
-def _simulate(
-    world: World, key: jax.Array, config: FleetConfig, agents: Array | None, keep: bool
-) -> _Report:
-    world, active = _select_active_agents(world, config, agents)
-    outcome = _run(world, chance.seed_of(key), config, active, keep)
-    return _report(world, outcome, active, config, keep)
 
 
 def simulate(
@@ -323,12 +318,11 @@ def compile_runs(
         program = whole.lower(world, jax.random.key(0), count).compile()
         return lambda world, seed, agents: program(world, jax.random.key(seed), np.int32(agents))
 
-    def finish(world: World, outcome: Outcome, agents: Array) -> _Report:
-        world, active = _select_active_agents(world, config, agents)
-        return _report(world, outcome, active, config, keep)
-
     shapes = jax.eval_shape(lambda: blank_outcome(world, config, keep))
-    program = jax.jit(finish).lower(world, shapes, count).compile()
+    report = jax.jit(
+        lambda world, outcome, agents: _simulate(world, None, config, agents, keep, outcome)
+    )
+    program = report.lower(world, shapes, count).compile()
 
     def run(world: World, seed: int, agents: int) -> _Report:
         outcome = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)

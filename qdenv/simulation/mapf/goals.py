@@ -116,16 +116,6 @@ def rows_of_odds(odds: np.ndarray) -> tuple[str, ...]:
     return tuple(" ".join(f"{one:g}" for one in row) for row in odds)
 
 
-def favour_left(goal: Goal, odds: float) -> Goal:
-    """Make goals in column 0 `odds` times likelier (uneven warehouse of appendix B.1: 5)."""
-    return goal._replace(
-        weight=lambda layout: (
-            np.where(np.arange(layout.shape[1])[None] == 0, np.float32(odds), np.float32(1))
-            * goal.weight(layout)
-        )
-    )
-
-
 def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
     """Raise InputError for a layout (int8 [H, W]) on which the fleet could not work.
 

@@ -9,8 +9,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from qdenv.ranges import PositiveInt, Ranged
-from qdenv.registry import Registry
-from qdenv.simulation.mapf.negotiated.settings import EFFORTS, LOW
+from qdenv.registry import Entry, Registry
+from qdenv.simulation.mapf.negotiated.settings import EFFORTS, LOW, NegotiatedConfig
+from qdenv.simulation.mapf.pbs.settings import PbsConfig
+from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.types import InputError, look_up
 
 _MOST_TIMESTEPS = 10_000_000
@@ -21,9 +23,11 @@ PLANNERS = Registry(
     "planner",
     "qdenv.planners",
     {
-        "negotiated": "qdenv.simulation.mapf.negotiated.settings:NEGOTIATED",
-        "pbs": "qdenv.simulation.mapf.pbs.settings:PBS",
-        "pibt": "qdenv.simulation.mapf.pibt.settings:PIBT",
+        "negotiated": Entry(
+            NegotiatedConfig, "qdenv.simulation.mapf.negotiated.planner:negotiated"
+        ),
+        "pbs": Entry(PbsConfig, "qdenv.simulation.mapf.pbs.planner:pbs"),
+        "pibt": Entry(PibtConfig, "qdenv.simulation.mapf.pibt.planner:pibt"),
     },
 )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from qdenv.lazy import jax, jnp
 from qdenv.simulation.maze.policy import Memory, Tables, Weights, act, blank_memory, encode, recur
@@ -100,30 +100,23 @@ def run_episodes(weights: Weights, tables: Tables, keys: jax.Array, timesteps: i
     """
     now, draws = jax.vmap(lambda key: _begin(weights, tables, key, timesteps))(keys)
     place, t = jnp.arange(keys.shape[0]), jnp.int32(0)  # which episodes `now` holds
-    last = now
+    last, act_all = now, jax.vmap(partial(_act_once, weights, tables))
+
+    def act_until(rest: int, draws: jax.Array, first: Any) -> tuple[jax.Array, EpisodeState]:
+        """Act in all episodes until at most `rest` of them are under way, or T is reached."""
+        return jax.lax.while_loop(
+            lambda pair: (pair[0] < timesteps) & ((~pair[1].done).sum() > rest),
+            lambda pair: (pair[0] + 1, act_all(pair[1], draws[:, pair[0]])),
+            first,
+        )
+
     while place.size:
         rest = place.size // 2 if place.size >= _FEWEST else 0
-        t, now = _until_few(weights, tables, draws[place], rest, (t, now))
+        t, now = act_until(rest, draws[place], (t, now))
         last = jax.tree.map(lambda x, part, place=place: x.at[place].set(part), last, now)
         keep = jnp.argsort(now.done)[:rest]  # those under way come first
         place, now = jax.tree.map(lambda x, keep=keep: x[keep], (place, now))
     return jax.vmap(partial(_report, tables))(last)
-
-
-def _until_few(
-    weights: Weights,
-    tables: Tables,
-    draws: jax.Array,
-    rest: int,
-    first: tuple[jax.Array, EpisodeState],
-) -> tuple[jax.Array, EpisodeState]:
-    """Act in all episodes until at most `rest` of them are under way, or T is reached."""
-    act_all = jax.vmap(partial(_act_once, weights, tables))
-    return jax.lax.while_loop(
-        lambda pair: (pair[0] < draws.shape[1]) & ((~pair[1].done).sum() > rest),
-        lambda pair: (pair[0] + 1, act_all(pair[1], draws[:, pair[0]])),
-        first,
-    )
 
 
 def trace_episode(

@@ -8,7 +8,6 @@ from annotated_types import Interval
 
 from qdenv.devices import Backend
 from qdenv.ranges import Ranged
-from qdenv.registry import Entry
 from qdenv.types import InputError
 
 MAX_WINDOW = 10  # a square of 2 * 10 + 1 columns around any cell lies within one packed word
@@ -96,4 +95,3 @@ LOW = NegotiatedConfig(
     lookahead=7, lanes=8, rounds=4.0, conflict_levels=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)
 )
 EFFORTS = {"low": LOW, "high": HIGH}
-NEGOTIATED = Entry(NegotiatedConfig, "qdenv.simulation.mapf.negotiated.planner:negotiated")

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from qdenv.ranges import Ranged
-from qdenv.registry import Entry
 
 MAX_WINDOW = 30  # the timesteps of conflicts are the bits of one word
 _MOST_NODES = 1_000_000
@@ -29,6 +28,3 @@ class PbsConfig(Ranged):
     # most nodes of the search tree that are expanded per window, in units of the number of agents;
     # a window that is still unsolved is driven by PIBT where its best plan has conflicts
     nodes_per_agent: Annotated[float, Interval(ge=0, le=_MOST_NODES)] = 5.0
-
-
-PBS = Entry(PbsConfig, "qdenv.simulation.mapf.pbs.planner:pbs")

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 from qdenv.devices import Backend
 from qdenv.ranges import Ranged
-from qdenv.registry import Entry
 
 
 @dataclass(frozen=True)
@@ -19,6 +18,3 @@ class PibtConfig(Ranged):
     # whether agents change places where two have no room to pass (Okumura 2023): for floors with
     # dead ends and narrow passages; always computed on the host
     swap: bool = False
-
-
-PIBT = Entry(PibtConfig, "qdenv.simulation.mapf.pibt.planner:pibt")

@@ -178,7 +178,14 @@ def negotiate(
     shape = (world.traversable.shape[0], world.traversable.shape[1])
     window, count = state.previous.shape[0] - 1, state.position.shape[0]
     lanes = min(config.lanes, count)
-    order, tie_breaks = _draw_priorities(state, seed)
+    # The agents' order, and bits that settle ties between paths.
+    order_bits, tie_bits = (
+        chance.draw(chance.draw(seed, purpose), jnp.arange(count))
+        for purpose in (chance.ORDER, chance.TIES)
+    )
+    rank = jnp.argsort(rules.random_rank(order_bits, state.remaining_service > 0))
+    order = jnp.zeros((count,), jnp.int32).at[rank].set(jnp.arange(count, dtype=jnp.int32))
+    tie_breaks = (tie_bits >> (32 - rules.TIE_BITS)).astype(jnp.int32)
     walls = pack(world.traversable)
     penalties = jnp.asarray(config.penalty_costs(world.costs is not None))
     limit = jnp.asarray(config.max_rounds(state.active.sum())).astype(jnp.int32)
@@ -209,18 +216,6 @@ def negotiate(
         plan_round,
         (remembered, jnp.zeros((count,), jnp.int32), jnp.int32(0)),
     )[0]
-
-
-def _draw_priorities(state: AgentState, seed: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Draw the agents' order, and 24 bits that settle ties between paths (int32 [A] each)."""
-    count = state.position.shape[0]
-    order_bits, tie_bits = (
-        chance.draw(chance.draw(seed, purpose), jnp.arange(count))
-        for purpose in (chance.ORDER, chance.TIES)
-    )
-    turn = jnp.argsort(rules.random_rank(order_bits, state.remaining_service > 0))
-    order = jnp.zeros((count,), jnp.int32).at[turn].set(jnp.arange(count, dtype=jnp.int32))
-    return order, (tie_bits >> (32 - rules.TIE_BITS)).astype(jnp.int32)
 
 
 def _smallest(keys: jax.Array, count: int) -> jax.Array:

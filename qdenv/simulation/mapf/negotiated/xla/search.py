@@ -6,8 +6,8 @@ leg and by the number of conflicts (`rules`); a *mask* is a word that is all one
 
 Only the end of a path has a cost: the steps still to go from there, plus a penalty per conflict.
 The path itself is read off backwards: which neighbour was expandable one step before?
-Where moves have costs, numbers take the place of sets (`costs`): a path is then read off backwards
-by what it has cost so far.
+Where moves have costs, numbers take the place of sets (`LeastCosts`): what is a bit of a set is
+then what the cheapest path has cost so far, by which a path is read off backwards.
 
 While an agent serves at a goal it is in no set; bit e of `served` says that a path exists by which
 it has been serving for e timesteps.
@@ -15,7 +15,7 @@ it has been serving for e timesteps.
 
 from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,6 @@ import jax.numpy as jnp
 from qdenv.grid import NUM_MOVES
 from qdenv.simulation.mapf.negotiated import rules
 from qdenv.simulation.mapf.negotiated.rules import PathState
-from qdenv.simulation.mapf.negotiated.xla import costs
 from qdenv.simulation.mapf.negotiated.xla.window import ALL, FAR, LocalWindow, conflicting_cells
 
 # Of K paths: where they are, and what they have cost so far (int32 [K], 0 without costs of moves).
@@ -50,15 +49,24 @@ def _expandable(local: LocalWindow, reached: ReachableSet) -> jax.Array:
     return (reached.cells & ~local.goal) | (reached.just_served & local.goal[:1])
 
 
-def _by_conflicts(clean: jax.Array, conflicting: jax.Array) -> jax.Array:
-    """Give each conflict level (axis 0) its set after a step with a further conflict or without.
+class LeastCosts(NamedTuple):
+    """What the cheapest paths at one timestep have cost, by conflicts (L levels) and leg."""
 
-    Paths with one conflict more come from the level below; the last level keeps its own.
+    cells: jax.Array  # int32 [L, 2, E, E, K], of paths that go on from a cell
+    served: jax.Array  # int32 [L, 2, elapsed, K], of paths in service
+
+
+def _by_conflicts(
+    clean: jax.Array, conflicting: jax.Array, join: Any = jnp.bitwise_or, nothing: int = 0
+) -> jax.Array:
+    """Give each conflict level (axis 0) what a step with a further conflict or without leads to.
+
+    Paths with one more come from the level below; the last level keeps its own.
     """
     levels = clean.shape[0]
     cap = (jnp.arange(levels) == levels - 1).reshape(-1, *[1] * (clean.ndim - 1))
-    below = jnp.concatenate([jnp.zeros_like(conflicting[:1]), conflicting[:-1]])
-    return clean | below | jnp.where(cap, conflicting, 0)
+    below = jnp.concatenate([jnp.full_like(conflicting[:1], nothing), conflicting[:-1]])
+    return join(join(clean, below), jnp.where(cap, conflicting, nothing))
 
 
 def _start(local: LocalWindow, levels: int) -> ReachableSet:
@@ -104,6 +112,59 @@ def _advance(
     return ReachableSet(cells, served, just_served)
 
 
+def _start_costs(local: LocalWindow, levels: int) -> LeastCosts:
+    """Set what `_start` sets, where moves have costs."""
+    agents, side, middle = local.penalty.shape[0], local.side, local.side // 2
+    driving = local.remaining_service == 0
+    elapsed = local.service_time[0] - local.remaining_service
+    # Standing on the goal is not arriving: the path leaves it like any other cell.
+    here = jnp.where(driving, 0, FAR)
+    cells = jnp.full((levels, 2, side, side, agents), FAR, jnp.int32)
+    serving = ~driving & (jnp.arange(rules.SERVED_BITS)[:, None] == elapsed)
+    served = jnp.full((levels, 2, rules.SERVED_BITS, agents), FAR, jnp.int32)
+    return LeastCosts(
+        cells.at[0, local.leg, middle, middle, jnp.arange(agents)].set(here),
+        served.at[0, 0].set(jnp.where(serving, 0, FAR)),
+    )
+
+
+def _advance_costs(
+    local: LocalWindow, least: LeastCosts, reserved: jax.Array, disturbed: jax.Array
+) -> LeastCosts:
+    """Take one timestep as `_advance` does, where moves have costs."""
+    assert local.costs is not None
+    clean = conflicting = jnp.full_like(least.cells, FAR)
+    moves = zip(local.costs, conflicting_cells(reserved), strict=True)
+    for move, (price, taken) in enumerate(moves):
+        # Around the border is no way: paths get there in the last step only.
+        row, column = rules.cell_before(0, 0, move)
+        after = jnp.roll(least.cells + price, (-row, -column), (2, 3))
+        is_taken = _cells_of(taken)
+        clean = jnp.minimum(clean, jnp.where(is_taken, FAR, after))
+        conflicting = jnp.minimum(conflicting, jnp.where(is_taken, after, FAR))
+    arrived = jnp.minimum(_by_conflicts(clean, conflicting, jnp.minimum, FAR), FAR)
+    arrived = jnp.where(_cells_of(local.traversable), arrived, FAR)
+    leg, elapsed, agent = jnp.ogrid[:2, : least.served.shape[2], : least.served.shape[3]]
+    longer = least.served + local.staying_cost(leg, elapsed, agent)
+    longer = jnp.roll(longer, 1, 2).at[:, :, 0].set(FAR)
+    mask = disturbed[:, None] != 0
+    clean, conflicting = jnp.where(mask, FAR, longer), jnp.where(mask, longer, FAR)
+    served = _by_conflicts(clean, conflicting, jnp.minimum, FAR)
+    on_goal = _cells_of(local.goal)
+    begun = jnp.where(on_goal, arrived, FAR).min((2, 3))
+    served = jnp.minimum(served, FAR).at[:, :, 0].set(begun)
+    done = served[:, 0, local.service_time[0], agent[0, 0]]
+    cells = jnp.where(on_goal, FAR, arrived)  # a goal is left only after service, on the next leg
+    onwards = jnp.where(on_goal[0], done[:, None, None], FAR)
+    return LeastCosts(cells.at[:, 1].min(onwards), served)
+
+
+def _cells_of(words: jax.Array) -> jax.Array:
+    """Unpack words (uint32 [..., E, K]) to one truth per cell (bool [..., E, E, K])."""
+    column = jnp.arange(words.shape[-2], dtype=jnp.uint32)[:, None]
+    return (words[..., None, :] >> column) & 1 == 1
+
+
 def _ends(
     local: LocalWindow, cells: jax.Array, served: jax.Array
 ) -> Iterator[tuple[jax.Array, jax.Array, jax.Array]]:
@@ -136,7 +197,7 @@ def _cheapest_end(
     """Choose where to be after the window (cost and code, both int32 [K]).
 
     `cells` are those that paths go on from at the end, `served` what has been served then
-    (`ReachableSet`, or `costs.LeastCosts`).
+    (`ReachableSet`, or `LeastCosts`).
     """
     tie = local.tie_break & rules.CODES
     nothing = jnp.full(tie.shape, rules.INFEASIBLE, jnp.int32)
@@ -205,7 +266,7 @@ def _go_back(
 
     `step` is what the search found for the step: its reservations (uint32 [5, E, K]), the cells
     that paths go on from at t, and what is served at t and at t + 1 (`ReachableSet`, or
-    `costs.LeastCosts`).
+    `LeastCosts`).
     """
     state, spent = paths
     reserved, expandable, served, served_after = step
@@ -271,23 +332,16 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     )
     disturbed = jnp.where(at_goal != 0, jnp.uint32(ALL), jnp.uint32(0))
 
-    def by_sets(
-        reached: ReachableSet, inputs: tuple[jax.Array, jax.Array]
-    ) -> tuple[ReachableSet, tuple[jax.Array, jax.Array]]:
-        return _advance(local, reached, *inputs), (_expandable(local, reached), reached.served)
+    sets: tuple[Any, ...] = _start, _advance, _expandable
+    numbers: tuple[Any, ...] = _start_costs, _advance_costs, lambda _, least: least.cells
+    start, advance, going_on = sets if local.costs is None else numbers
 
-    def by_numbers(
-        least: costs.LeastCosts, inputs: tuple[jax.Array, jax.Array]
-    ) -> tuple[costs.LeastCosts, costs.LeastCosts]:
-        return costs.advance(local, least, *inputs), least
+    def step(reached: Any, inputs: tuple[jax.Array, jax.Array]) -> tuple[Any, Any]:
+        return advance(local, reached, *inputs), (going_on(local, reached), reached.served)
 
-    inputs = local.reserved, disturbed
-    if local.costs is None:
-        reached, (cells, served) = jax.lax.scan(by_sets, _start(local, levels), inputs)
-        last_cells, last_served = _expandable(local, reached), reached.served
-    else:
-        least, (cells, served) = jax.lax.scan(by_numbers, costs.start(local, levels), inputs)
-        last_cells, last_served = least
+    begin, inputs = start(local, levels), (local.reserved, disturbed)
+    reached, (cells, served) = jax.lax.scan(step, begin, inputs)
+    last_cells, last_served = going_on(local, reached), reached.served
     cost, code = _cheapest_end(local, last_cells, last_served)
     served_after = jnp.concatenate([served[1:], last_served[None]])
     end = rules.unpack_end(code, levels, local.side)
@@ -302,7 +356,7 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
         stayed = last_served[end.conflicts, end.leg, jnp.maximum(end.elapsed, 0), agent]
         spent = jnp.where(serving, stayed, driven)
     history = local.reserved, cells, served, served_after
-    begin = (end, spent)
-    (first, _), path = jax.lax.scan(partial(_go_back, local), begin, history, reverse=True)
+    go_back = partial(_go_back, local)
+    (first, _), path = jax.lax.scan(go_back, (end, spent), history, reverse=True)
     path = jnp.concatenate([jnp.stack([first.row, first.column])[None], path])
     return path.swapaxes(0, 1) - local.side // 2, cost
