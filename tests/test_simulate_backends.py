@@ -145,7 +145,7 @@ def test_the_host_pushes_as_xla_does():
         rollout.path[:, 0], rollout.candidates[:] = position, candidates
         rollout.num_allowed[:], rollout.occupant[position] = allowed, np.arange(count)
         rollout.order[:] = order
-        pibt_on_host.push_along(run, fields, rollout, 0, False)
+        pibt_on_host.push_along(run, fields, rollout, 0, None)
         host = rollout.path[:, 1]
         np.testing.assert_array_equal(in_xla(candidates, position, allowed, order), host)
         assert len(set(host.tolist())) == count

@@ -32,7 +32,7 @@ class Fallback(NamedTuple):
     rollout: Rollout  # h steps of all agents by PIBT
     queue: np.ndarray  # int64 [A], agents that fall back and may make others fall back
     waits: bool  # the rollout is to stand still, instead of PIBT's
-    swaps: bool  # agents of the rollout change places where there is no room for two
+    swaps: bool | None  # agents of the rollout change places in passages; None if they do not
 
 
 def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
@@ -145,7 +145,7 @@ def run_to_the_end(planner: Planner, run: HostRun) -> None:
         make_rollout(agents, run.settings.horizon, grid.free.size),
         np.zeros(agents, np.int64),
         planner.fallback_waits,
-        planner.fallback_swaps,
+        planner.fallback_swaps or None,
     )
     plan = planner.make_plan(run, size)
     assert planner.run_windows is not None  # else runs are computed by XLA

@@ -103,9 +103,13 @@ def roll_out(
     rollout: Rollout,
     seed: int,
     stands_still: bool,
-    swaps: bool,
+    swaps: bool | None,
 ) -> None:
-    """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still."""
+    """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still.
+
+    `swaps` is None where agents change no places: numba then leaves that out, a fifth of all that
+    a first run compiles.
+    """
     ties = chance.mix(seed, chance.RESORT)
     rank = chance.mix(ties, RANKS)
     for agent in range(run.position.size):
@@ -121,8 +125,8 @@ def roll_out(
         for agent in range(run.position.size):
             fixed = rollout.remaining_service[agent] > 0
             age = rollout.age[agent]
-            if swaps and age > _PATIENCE:
-                # Agents that hold one another up for good get another order every few timesteps.
+            if swaps is not None and age > _PATIENCE:
+                # Agents that hold one another up for good get another order now and then.
                 age = (chance.mix(chance.mix(ties, agent), age >> 4) >> 8) % _PATIENCE
             turn = urgency(fixed, age, chance.mix(rank, agent))
             rollout.order[agent] = (turn << AGENT_BITS) | agent
@@ -175,7 +179,9 @@ def _prefer(
 
 
 @kernel
-def push_along(run: HostRun, fields: DistanceFields, rollout: Rollout, t: int, swaps: bool) -> None:
+def push_along(
+    run: HostRun, fields: DistanceFields, rollout: Rollout, t: int, swaps: bool | None
+) -> None:
     """Move all agents by one step, to t + 1: the most urgent first, after those in its way.
 
     The recursion of the paper is a chain that each agent leaves towards its pusher.
@@ -190,7 +196,7 @@ def push_along(run: HostRun, fields: DistanceFields, rollout: Rollout, t: int, s
         agent = first if path[first, t + 1] == NOBODY else NOBODY
         while agent != NOBODY:
             here, behind = path[agent, t], rollout.pusher[agent]
-            if swaps and rollout.num_allowed[agent] > 1:
+            if swaps is not None and rollout.num_allowed[agent] > 1:
                 pull(run, fields, rollout, agent, t)
             if rollout.num_tried[agent] >= rollout.num_allowed[agent]:
                 # Nowhere to go: stay, and let the pusher try on.
