@@ -302,19 +302,19 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_520,
-    "files": 195,
-    "records": 195,
-    "public names": 1_240,
+    "lines": 33_283,
+    "files": 194,
+    "records": 193,
+    "public names": 1_224,
     "class names used twice": 0,
-    "functions of two lines": 333,
+    "functions of two lines": 329,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {
     "pipeline:evaluate": 6,
     "repairs.recipe:repair_layout": 100,
     "run.loop:train": 43,
-    "ops.traffic:simulate": 124,
+    "ops.traffic:simulate": 121,
     "ops.runs:generate": 186,
     "simulation.mapf.pbs.planner:_plan_window": 51,
     "simulation.mapf.negotiated.numba.rounds:_plan_window": 57,

@@ -53,6 +53,7 @@ def place(tmp_path, monkeypatch):
         monkeypatch.setitem(registry._entries, name, entry)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("long", "kind", "code"), BLOCKS)
 def test_every_block_of_code_runs_or_is_parsed_where_it_takes_long(long, kind, code, place):
     if kind == "bash":

@@ -37,6 +37,7 @@ def refusal(done):
     return lines[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     [
@@ -62,6 +63,7 @@ def test_a_full_standard_output_is_one_line(line, folder):
     assert "standard output: No space left on device" in refusal(done)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stream", [0, 1, 2])
 def test_closed_streams_are_no_traceback_and_no_file(stream, folder):
     done = call("check plan.txt --json f.json", folder, CLOSED.format(stream))
@@ -124,6 +126,7 @@ print(jax.config.jax_enable_x64)
 """
 
 
+@pytest.mark.slow
 def test_empty_environment_variables_count_as_none_and_precision_is_ours(tmp_path):
     names = "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR"
     changed = {**dict.fromkeys(names, ""), "HOME": str(tmp_path), "JAX_ENABLE_X64": "1"}

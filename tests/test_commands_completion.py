@@ -69,6 +69,7 @@ def test_the_tab_key_knows_commands_options_presets_and_names(script, capsys):
     assert answers == [sorted(wanted) for wanted in WANTED.values()], done.stderr
 
 
+@pytest.mark.slow
 def test_zsh_is_told_the_same(capsys):
     assert run(["completion", "zsh"]) == 0
     said = capsys.readouterr().out

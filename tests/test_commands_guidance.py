@@ -33,6 +33,7 @@ def facts_of(*command):
     return json.loads(Path("f.json").read_text())
 
 
+@pytest.mark.slow
 def test_the_same_costs_give_the_same_runs_wherever_they_are_stated(plans, capsys):
     simulate = ["--agents", "8", *QUICK, "--no-verdict"]
     plain = facts_of("simulate", "plain.json", *simulate)
@@ -61,6 +62,7 @@ def test_the_same_costs_give_the_same_runs_wherever_they_are_stated(plans, capsy
     np.testing.assert_array_equal(qdenv.read_plan(layout).costs, layout.costs)
 
 
+@pytest.mark.slow
 def test_tables_pages_and_reports_name_their_guidance(plans, capsys):
     rows = qdenv.compare(["plain.json", "guided.json"], 8, planner="pibt", timesteps=60, seeds=2)
     assert rows.facts["settings"]["guidance"] == "none, guided.json"

@@ -246,6 +246,7 @@ def test_a_maze_has_no_rules_to_break(folder, capsys):
     assert json.loads((folder / "facts.json").read_text())["rules"] is False
 
 
+@pytest.mark.slow
 def test_a_repair_draws_what_changed(folder, capsys):
     command = ["repair", "plan.txt", "--polish", "none"]
     assert run([*command, "--diff", "d.png"]) == 0
@@ -255,6 +256,7 @@ def test_a_repair_draws_what_changed(folder, capsys):
     assert imread("d.png").shape == imread("r.png").shape
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ending", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
 )
@@ -275,6 +277,7 @@ def test_render_names_its_picture_after_the_plan(folder, capsys):
     assert 600 < width < 1200 and 300 < height < width
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [101, 401])
 def test_large_plans_are_drawn_a_few_pixels_a_cell(side, folder):
     domain = find_domain("warehouse-even").resized(side, side)
@@ -334,6 +337,7 @@ def test_the_books_plan_is_kept_as_it_says(folder):
     assert run(["check", "plan.txt"]) == 0 and run(["check", "plan_repaired.json"]) == 0
 
 
+@pytest.mark.slow
 def test_baselines_go_to_files_of_their_own_and_say_so(folder, capsys):
     human = ["layout", "human", "--rows", "9", "--cols", "12"]
     assert run(human) == 0 and run(human) == 0

@@ -66,6 +66,7 @@ def test_facts_that_cannot_be_written_stop_a_command_before_it_writes(folder, ca
     assert os.listdir() == ["sealed.json"]
 
 
+@pytest.mark.slow
 def test_standard_output_by_its_name_is_a_stream(folder):
     Path("p.txt").write_text("\n".join(ROWS))
     Path("log").write_text("old\n")

@@ -158,6 +158,7 @@ def test_reports_call_a_planner_by_its_name_and_settings():
     assert (record["name"], record["nodes_per_agent"]) == ("pbs", 5)
 
 
+@pytest.mark.slow
 def test_facts_of_a_study_hold_all_settings_of_its_planner(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("plan.txt").write_text("\n".join(PLAN))

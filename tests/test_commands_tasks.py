@@ -34,6 +34,7 @@ def factory(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_stays_of_a_factory_are_options_and_arguments(factory, capsys):
     def finished(*more):
         assert run(["simulate", "factory.json", *WORDS, "--json", "f.json", *more]) == 0
@@ -90,6 +91,7 @@ def goals_of(tasks, seeds=10):
     return counts.reshape(plan.layout.shape), sum(run.finished.sum() for run in done.runs)
 
 
+@pytest.mark.slow
 def test_demand_shares_and_times_of_a_hall(hall):
     plain, tasks = goals_of({})
     assert plain.sum() == tasks

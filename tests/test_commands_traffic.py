@@ -50,6 +50,7 @@ def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
     assert said.splitlines()[-2:] == ["lane_traffic.png", "f.json"]
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_after_congestion_counts_all_its_tasks(plans, capsys):
     def facts_of(*more):
         command = ["simulate", "lane.json", "--agents", "20", *QUICK, "--json", "f.json", *more]
@@ -71,6 +72,7 @@ def test_a_run_that_goes_on_after_congestion_counts_all_its_tasks(plans, capsys)
     assert "3 of 3 runs congested, and went on" in Path("p.svg").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["sweep", "compare", "scalability"])
 def test_tables_of_runs_that_go_on_average_all_of_them(plans, capsys, command):
     def rows_of(*more):
@@ -86,6 +88,7 @@ def test_tables_of_runs_that_go_on_average_all_of_them(plans, capsys, command):
     assert "no stop at congestion" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_simulate_without_verdict_and_audit_gives_the_same_numbers(plans, capsys):
     def facts_of(*more):
         command = ["simulate", "lane.json", "--agents", "6", *QUICK, "--json", "f.json", *more]
@@ -159,6 +162,7 @@ def test_facts_alone_go_to_standard_output(plans, capsys, command):
     assert "tasks per timestep" in said.err or "throughput (s.e.)" in said.err
 
 
+@pytest.mark.slow
 def test_nothing_is_written_over_unless_it_is_named(plans, capsys):
     for name in ("compare.csv", "compare.png", "lane_traffic.png"):
         Path(name).write_text("mine")

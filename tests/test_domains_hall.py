@@ -116,6 +116,7 @@ def test_measures_reach_from_end_to_end_at_any_size(shape):
     assert (entropy.low, entropy.high) == (0, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line",
     ["train quick --domain hall", "generate run --rows 9 --cols 30", "series run"],

@@ -73,6 +73,7 @@ def whole_number_step(layers: list[dict[str, np.ndarray]], cells: np.ndarray, sc
     return cells
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kernel_sizes", "sigma"), [((3, 3, 3), 0.2), ((3, 3, 3), 1.4), ((3, 1, 1), 1.0)]
 )

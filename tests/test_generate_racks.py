@@ -46,6 +46,7 @@ def test_what_a_solution_says_is_drawn():
         assert draw(drawn, hall.tiles) == rows.split()
 
 
+@pytest.mark.slow
 def test_every_solution_holds_shelves_near_the_stations_and_walls_where_they_were(hall):
     solutions = np.random.default_rng(0).normal(0, 1.5, (50, 12))
     layouts = grown(hall, solutions)

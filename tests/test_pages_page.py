@@ -23,6 +23,7 @@ def test_packed_arrays_are_gzip_in_base64():
     np.testing.assert_array_equal(np.frombuffer(raw, np.int16), array)
 
 
+@pytest.mark.slow
 def test_a_browser_reads_back_what_python_packed(tmp_path):
     array = np.random.default_rng(0).integers(0, 2**16, 50_000).astype("<u2")
     facts = {"nasty": NASTY, "number": 0.1}
@@ -47,6 +48,7 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
         pages.make_page("page", "A page")
 
 
+@pytest.mark.slow
 def test_the_benchmark_of_pages_reports_size_paint_and_frames(tmp_path):
     if find_browser() is None:
         pytest.skip("no Chromium on this machine (Debian: apt install chromium)")

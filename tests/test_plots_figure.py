@@ -177,6 +177,7 @@ def test_lines_are_told_apart_by_every_eye(cones):
     assert nearest([LINE, WARNING], cones) > 90
 
 
+@pytest.mark.slow
 def test_commands_draw_at_the_width_that_is_asked_for(tmp_path):
     plan = tmp_path / "plan.txt"
     plan.write_text("\n".join(ROWS))

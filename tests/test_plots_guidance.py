@@ -104,6 +104,7 @@ def test_a_byte_holds_the_arrows_to_the_right_and_below():
     assert (packed >> 4).tolist() == [[15, 1, 8]] and (packed & 15).tolist() == [[8, 12, 8]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(3, 200), (200, 3), (1, 1), (101, 102)])
 def test_any_shape_can_be_drawn_with_and_without_preferences(shape, tmp_path):
     free = np.ones(shape, bool)

@@ -44,6 +44,7 @@ def test_the_legend_counts_the_tiles_that_are_there():
     assert [text.get_text() for text in strange] == ["'?': 1 cell", "'!': 1 cell"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_saving_writes_one_file_and_leaves_no_state(tmp_path, ending):
     backend = matplotlib.get_backend()
@@ -52,6 +53,7 @@ def test_saving_writes_one_file_and_leaves_no_state(tmp_path, ending):
     assert not Gcf.figs and matplotlib.get_backend() == backend
 
 
+@pytest.mark.slow
 def test_a_change_frames_what_was_removed_and_placed(tmp_path):
     plan = Plan("plan", LAYOUT, find_domain("warehouse-even"), False)
 
@@ -86,6 +88,7 @@ def test_usages_before_and_after_share_one_colour_scale():
         draw_change(plan, plan._replace(layout=LAYOUT[:2]))
 
 
+@pytest.mark.slow
 def test_a_series_has_a_panel_per_number_of_steps_and_at_most_six_in_a_row(tmp_path):
     for number, across, down in ((1, 1, 1), (6, 6, 1), (7, 6, 2)):
         path = tmp_path / f"{number}.png"

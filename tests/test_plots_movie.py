@@ -118,6 +118,7 @@ def test_the_agent_of_a_maze_leaves_its_way_behind(tmp_path):
     assert (row == levels(MARKS["way"])).all(1).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_long_episode_skips_actions_but_not_its_end(tmp_path):
     layout, steps = np.zeros((3, 3), np.int8), 2 * MOST + 7
     motion = Motion(

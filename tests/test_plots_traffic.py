@@ -84,6 +84,7 @@ def test_guidance_is_drawn_beside_what_agents_drove(scene):
     assert title == "where agents drove: 75% the cheaper way"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(3, 200), (200, 3), (1, 1)])
 def test_any_shape_and_a_fleet_that_never_waits_can_be_drawn(shape, tmp_path):
     still = np.zeros(shape)

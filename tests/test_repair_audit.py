@@ -126,6 +126,7 @@ def slow_feasible(layout: np.ndarray, rules: Rules) -> bool:
     return seen == group
 
 
+@pytest.mark.slow
 def test_audit_agrees_with_the_slow_oracle_on_every_tiny_layout():
     rules = yard(2, 4, 1, 2)
     layouts = [

@@ -39,6 +39,7 @@ def feasible_layouts(rules: Rules) -> np.ndarray:
     return np.array([layout for layout in counted if not audit(layout, rules)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"change_cost": np.arange(1.0, 10.0).reshape(3, 3)}])
 def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
     rules = yard(3, 3, 2, 2, **changes)
@@ -53,6 +54,7 @@ def test_full_repair_is_optimal_on_every_tried_tiny_layout(changes):
         assert audit(found.layout, rules) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "built",
     [
@@ -142,6 +144,7 @@ def test_repairs_keep_the_rules_of_halls_that_are_built(built, shelves):
         assert found.status == RepairStatus.ANNEALED
 
 
+@pytest.mark.slow
 def test_racks_fill_a_hall_that_straight_aisles_can_hold():
     """Ten racks of 2 x 10 between aisles two cells wide, and no more."""
     rules = yard(42, 14, 200, 200).buildable(2, (2, 10))
@@ -220,6 +223,7 @@ def test_only_full_uses_the_solver(monkeypatch):
     assert used == ["none", "quick", "full", "run", "improve"]
 
 
+@pytest.mark.slow
 def test_a_large_layout_is_bounded_without_branching(monkeypatch):
     """One step of branching on a large factory takes minutes that nothing can interrupt."""
     monkeypatch.setattr(highs, "run_limited", lambda *given: pytest.fail("it branches"))
@@ -279,6 +283,7 @@ def test_drawn_layouts_are_repaired_to_the_proven_optimum(drawing, domain, shelv
     assert audit(found.layout, rules) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "domain", "best"),
     [

@@ -34,6 +34,7 @@ def best_inside(layout: np.ndarray, start: np.ndarray, rules: Rules, window: tup
     return best
 
 
+@pytest.mark.slow
 def test_a_window_is_solved_to_the_optimum_that_enumeration_finds():
     rng, improved = np.random.default_rng(2), 0
     for _ in range(6):
@@ -54,6 +55,7 @@ def test_a_window_is_solved_to_the_optimum_that_enumeration_finds():
     assert improved >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["warehouse-even", "manufacturing"])
 def test_windows_never_cost_more_and_never_break_a_rule(name, monkeypatch):
     domain = find_domain(name)

@@ -53,6 +53,7 @@ def test_entropy_closed_forms():
     assert float(score.entropy(np.zeros((1, 5), np.int8), 3)) == 0
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(layouts)
 def test_components_agree_with_oracle(area):

@@ -196,6 +196,7 @@ def test_elites_are_sampled_uniformly():
     assert len(counts) == 5 and (np.square(counts - 2000) / 2000).sum() < 18.5
 
 
+@pytest.mark.slow
 def test_qdax_metrics_and_selectors_accept_the_archive():
     archive = GridArchive.empty(np.zeros(1, np.float32), GRID)
     archive, _ = add(archive, [1.0, 2.5, 4.0], [[-1, 0], [0, 1.5], [0, 1.5]])

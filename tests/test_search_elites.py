@@ -46,6 +46,7 @@ def test_columns_of_an_elitist_and_of_a_soft_archive():
         GridArchive.empty({"a": np.zeros(2)}, GRID).elites()
 
 
+@pytest.mark.slow
 def test_a_search_without_a_run_is_a_table_and_an_archive_of_pyribs(tmp_path):
     archive = saved(example())
     assert repr(archive) == "SavedArchive(3 elites, coverage 25.0%, QD-score 6, best 3)"

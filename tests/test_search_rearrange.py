@@ -59,6 +59,7 @@ def drive(config, worth, iterations, **settings):
     return state, algorithm.archive(state)
 
 
+@pytest.mark.slow
 def test_a_noisy_search_climbs_and_its_archive_holds_means():
     """Ones in the left half are worth one each; the noise is as large as three of them."""
 
@@ -107,6 +108,7 @@ def test_what_is_no_plan_is_refused():
         rearrange(RearrangeConfig(), problem()._replace(encoding=None))
 
 
+@pytest.mark.slow
 def test_a_run_begins_with_the_plan_inside_its_frame():
     domain = replace(find_domain("warehouse-even").config, rows=7, cols=11, shelves=8)
     config = RunConfig(

@@ -57,6 +57,7 @@ def test_archives_of_rows_hold_what_archives_of_solutions_hold():
     assert int(store.used.sum()) == len(distinct)  # zeros, the row of empty cells, among them
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
     monkeypatch.setattr(base, "_FIRST_ROWS", 1)
@@ -81,6 +82,7 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
         assert columns[column].tobytes() == values.tobytes() and values.ndim == columns[column].ndim
 
 
+@pytest.mark.slow
 def test_a_store_grows_to_its_full_size_and_no_further(monkeypatch):
     monkeypatch.setattr(base, "_FIRST_ROWS", 1)
     algorithm = base.growing(make_algorithm(CmaMaeConfig(), PROBLEM))

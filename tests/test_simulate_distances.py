@@ -111,6 +111,7 @@ def test_xla_measures_large_grids_with_longer_integers():
     assert (found[walls] > free.size).all()
 
 
+@pytest.mark.slow
 def test_distances_are_right_on_a_thousand_rows_and_columns():
     rng = np.random.default_rng(4)
     free = np.pad(rng.random((1000, 1000)) < 0.9, 1)

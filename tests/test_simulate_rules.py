@@ -138,6 +138,7 @@ def test_a_stay_at_a_goal_that_no_plan_knew_begins_after_the_next_plan():
     assert any("stay short" in one for one in replay_tasks(HALL, ROUND, *steps)[2])
 
 
+@pytest.mark.slow
 def test_both_backends_let_such_a_stay_wait():
     world = jax.tree.map(np.asarray, prepare(HALL, ROUND, CONFIG))
     cells = pad(WALK, 3, world.margin)

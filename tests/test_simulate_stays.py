@@ -58,6 +58,7 @@ def outcomes(planner, layout, agents, seed=0, rate=0.0):
         yield traffic, recording
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_one_robot_stays_as_long_as_its_station_says(planner):
     """On a line, every leg takes its distance and its stay: a closed form of the task times."""
@@ -83,6 +84,7 @@ def test_backends_agree_on_stays_of_their_own(planner):
             assert left[(FLOOR.reshape(-1) == TILES.index(symbol))[goals]].max() == stay
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_backends_hand_out_the_same_orders_and_idle_robots_stand(planner):
     rate = 0.16
@@ -126,6 +128,7 @@ def test_a_station_that_serves_longer_than_a_planner_knows_makes_no_run():
     assert not world.valid
 
 
+@pytest.mark.slow
 def test_learners_find_the_same_stays():
     environment = Environment(parse(["e.i"], TILES), TASKS, 1, 20)
     state, _ = environment.reset(jax.random.key(1))

@@ -134,6 +134,7 @@ def test_outcomes_average_successful_runs_and_say_when_the_others_congested():
     assert none.successes == 0 and np.isnan([none.throughput, none.jam_median]).all()
 
 
+@pytest.mark.slow
 def test_agreement_of_a_hand_made_table():
     paper = np.array([1.0, 2, 4, 8, 16])
     found = agree(paper[[1, 0, 2, 4, 3]], paper)
@@ -144,6 +145,7 @@ def test_agreement_of_a_hand_made_table():
     assert np.isnan(correlate("kendall", paper[:2], paper[:2]).value)
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_correlation_holds_the_truth_about_95_times_in_100(monkeypatch):
     monkeypatch.setattr("experiments.agreement.RESAMPLES", 300)
     rng, truth, inside = np.random.default_rng(1), 0.8, 0

@@ -41,6 +41,7 @@ def hall(tmp_path, monkeypatch) -> Path:
     return Path("hall.json")
 
 
+@pytest.mark.slow
 def test_commands_and_functions_take_them_and_say_so(hall, capsys):
     quick = ["--timesteps", "6", "--seeds", "1", "--planner", "pibt"]
     assert run(["simulate", str(hall), "--no-verdict", *quick, "--json", "f.json"]) == 0

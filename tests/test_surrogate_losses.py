@@ -103,6 +103,7 @@ def test_a_map_that_nobody_used_says_nothing(rng):
     assert not slope_of(logits, nobody).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", [(), (1, 2, 10)])
 def test_the_loss_of_scores_weighs_its_numbers(rng, weights):
     # Of a map this small no layer normalises: as while it learns.
