@@ -126,7 +126,7 @@ def roll_out(
             fixed = rollout.remaining_service[agent] > 0
             age = rollout.age[agent]
             if swaps is not None and age > _PATIENCE:
-                # Agents that hold one another up for good get another order now and then.
+                # Agents that hold one another up for good get another order every few timesteps.
                 age = (chance.mix(chance.mix(ties, agent), age >> 4) >> 8) % _PATIENCE
             turn = urgency(fixed, age, chance.mix(rank, agent))
             rollout.order[agent] = (turn << AGENT_BITS) | agent
