@@ -44,16 +44,22 @@ class SavedCourse(OfLayout):
     """Runs of one layout with one number of agents."""
 
     kind = "courses"
-    label = "course of {0.seeds} runs of {0.layout.stem}, {0.agents} agents"
-    file = "courses/{0.layout.stem}-{0.agents}.json"
+    label = "course of {0.seeds} runs of {0.layout.stem}, {0.agents} agents{0.ending}"
+    file = "courses/{0.layout.stem}-{0.agents}{0.ending}.json"
     agents: int = 200  # how many
     timesteps: int = 5000  # horizon T, a multiple of `BIN`
     seeds: int = 100  # how many
     stop: bool = False  # runs end where they congest
+    planner: str = "high"  # one of `ledger.DRIVERS`
+
+    @property
+    def ending(self) -> str:
+        """What names of another planner than ours end in."""
+        return "" if self.planner == "high" else f"-{self.planner}"
 
     def case(self, folders: Folders) -> Case:
         """Return what is simulated."""
-        return self.case_of(folders, self.agents, self.timesteps, "high", self.stop)
+        return self.case_of(folders, self.agents, self.timesteps, self.planner, self.stop)
 
     def read(self, folders: Folders) -> Course | None:
         """Read what is saved; None for nothing, or runs of another layout or other settings."""
@@ -76,7 +82,7 @@ class SavedCourse(OfLayout):
     def seconds(self, folders: Folders) -> float:
         """Estimate the CPU seconds of all runs."""
         found = self.read(folders)
-        usual = RATES["high"] * self.agents * self.timesteps
+        usual = RATES[self.planner] * self.agents * self.timesteps
         return self.seeds * (found.cpu_seconds / found.runs if found else usual)
 
     def make(self, folders: Folders) -> None:

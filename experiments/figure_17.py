@@ -9,40 +9,44 @@ from experiments.layouts import S, SavedLayout
 from experiments.lines import LOOKS, draw_line, finish, new_panels
 from experiments.pieces import Drawn, Experiment, Folders, table
 from experiments.published import AGENTS, FLEETS, TRAFFIC
+from experiments.table_5 import PLANNERS
 
 MAKERS = ("nca", "human")
 COURSES = {
-    (domain, maker): SavedCourse(SavedLayout(domain, maker), agents=AGENTS[domain][S])
-    for domain, maker in product(FLEETS, MAKERS)
+    (planner, domain, maker): SavedCourse(
+        SavedLayout(domain, maker), agents=AGENTS[domain][S], planner=planner
+    )
+    for planner, domain, maker in product(PLANNERS, FLEETS, MAKERS)
 }
 HEAD = (
-    *("domain", "layout", "runs", "congested", "tasks / timestep, first fifth", "last fifth"),
-    "paper, where congestion ends runs",
+    *("domain", "layout", "planner", "runs", "congested", "tasks / timestep, first fifth"),
+    *("last fifth", "paper, where congestion ends runs"),
 )
 
 
 def draw(folders: Folders) -> Drawn:
-    """Draw the mean of all runs with its 95 % interval, a panel per domain."""
-    figure, panels = new_panels(1, len(FLEETS), FLEETS)
+    """Draw the mean of all runs with its 95 % interval, a panel per planner and domain."""
+    figure, panels = new_panels(len(PLANNERS), len(FLEETS), FLEETS)
     rows: list[tuple[object, ...]] = []
-    for (domain, maker), saved in COURSES.items():
-        axes, found = panels[0, FLEETS.index(domain)], saved.read(folders)
-        paper = TRAFFIC[domain, maker, saved.agents]
+    for (planner, domain, maker), saved in COURSES.items():
+        axes = panels[list(PLANNERS).index(planner), FLEETS.index(domain)]
+        found, paper = saved.read(folders), TRAFFIC[domain, maker, saved.agents]
+        named = (domain, LOOKS[maker].label, PLANNERS[planner])
         if found is None:
-            rows.append((domain, LOOKS[maker].label, "not made yet", "", "", "", paper))
+            rows.append((*named, "not made yet", "", "", "", paper))
             continue
         mean, half = found.rates
         draw_line(axes, BIN * np.arange(1, len(mean) + 1), mean, half, maker)
         fifth = max(1, len(mean) // 5)
         moved = [f"{part.mean():.2f}" for part in (mean[:fifth], mean[-fifth:])]
-        runs = f"{found.runs} of {saved.seeds}"
-        rows.append((domain, LOOKS[maker].label, runs, found.congested, *moved, paper))
-    for axes in panels[0]:
-        axes.set_xlabel("timestep")
-    panels[0, 0].set_ylabel("tasks finished / timestep")
+        rows.append((*named, f"{found.runs} of {saved.seeds}", found.congested, *moved, paper))
+    for line, planner in zip(panels, PLANNERS.values(), strict=True):
+        line[0].set_ylabel(f"tasks finished / timestep\n{planner}")
+        for axes in line:
+            axes.set_xlabel("timestep")
     finish(figure, panels)
-    note = "Under our planner. The paper: what automata draw moves a stable number of tasks all the"
-    return Drawn(figure, (*table(HEAD, rows), "", f"{note} time."))
+    note = "The paper: what automata draw moves a stable number of tasks all the time."
+    return Drawn(figure, (*table(HEAD, rows), "", note))
 
 
 EXPERIMENT = Experiment("tasks finished over time, 200 agents", tuple(COURSES.values()), draw)

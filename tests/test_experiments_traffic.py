@@ -273,17 +273,17 @@ def test_a_layout_that_cannot_be_repaired_is_saved_with_the_reason(folders, monk
 
 
 def test_figures_17_and_19_draw_what_is_there_and_say_what_is_not(folders, monkeypatch):
-    saved = figure_17.COURSES["warehouse-even", "human"]
+    saved = figure_17.COURSES["high", "warehouse-even", "human"]
     small = replace(saved, layout=HALL, agents=8, timesteps=500, seeds=2)
-    monkeypatch.setitem(figure_17.COURSES, ("warehouse-even", "human"), small)
+    monkeypatch.setitem(figure_17.COURSES, ("high", "warehouse-even", "human"), small)
     monkeypatch.setitem(TRAFFIC, ("warehouse-even", "human", 8), "congests")
     HALL.make(folders)
     small.make(folders)
     mean = small.read(folders).rates[0]
     drawn = figure_17.draw(folders)
-    (row,) = (cells(line) for line in drawn.lines if "hand-made | 2 of 2" in line)
-    assert row[4:6] == [f"{mean[:2].mean():.2f}", f"{mean[-2:].mean():.2f}"]
-    assert sum("not made yet" in line for line in drawn.lines) == 5
+    (row,) = (cells(line) for line in drawn.lines if "high effort | 2 of 2" in line)
+    assert row[5:7] == [f"{mean[:2].mean():.2f}", f"{mean[-2:].mean():.2f}"]
+    assert sum("not made yet" in line for line in drawn.lines) == 11
     usage = figure_19.USAGE["warehouse-even", "tiled"]
     small = replace(usage, layout=HALL, agents=8, timesteps=500, seeds=2, stop=False)
     monkeypatch.setitem(figure_19.USAGE, ("warehouse-even", "tiled"), small)
