@@ -114,6 +114,7 @@ def test_check_names_every_broken_rule_and_a_cell(layout, tmp_path, capsys):
     assert sum("row" in line and "column" in line for line in said) >= 2
 
 
+@pytest.mark.slow
 def test_repair_writes_what_it_promises(layout, tmp_path, capsys):
     out, facts = tmp_path / "r.json", tmp_path / "f.json"
     command = ["repair", layout, "--domain", "warehouse-even", "--shelves", "8", "--seed", "0"]

@@ -182,6 +182,7 @@ def test_facts_of_a_plan_are_its_tasks_and_comparisons_have_those_of_the_first(h
         compare(["orders/plan.txt", "small.txt"], agents=2)
 
 
+@pytest.mark.slow
 def test_tasks_that_arrive_at_a_rate_leave_robots_idle(hall, capsys):
     command = ["simulate", "plan.txt", "--agents", "3", "--timesteps", "400", "--seeds", "4"]
     assert run([*command, "--task-rate", "0.1", "--paths", "p.csv", "--json", "f.json"]) == 0

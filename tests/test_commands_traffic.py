@@ -28,6 +28,7 @@ def plans(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
     command = ["simulate", "lane.json", "--agents", "20", *QUICK, "--json", "f.json", "--plot"]
     assert run([*command, "--seconds-per-step", "0.5"]) == 0

@@ -91,6 +91,7 @@ def test_a_hall_needs_a_station():
     assert "0 workstations, inbound stations or outbound stations where" in broken.message
 
 
+@pytest.mark.slow
 def test_the_papers_warehouse_is_a_hall_with_a_frame(own_layout):
     even = find_domain("warehouse-even")
     layout = read_layout(own_layout("warehouse_even"), even.tiles)
@@ -182,6 +183,7 @@ def test_aisles_and_racks_that_cannot_be_are_refused(settings, message, tmp_path
         qdenv.repair(save(tmp_path / "hall.txt"), **settings)
 
 
+@pytest.mark.slow
 def test_generators_draw_racks_into_a_plan(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     save(Path("l.txt"))

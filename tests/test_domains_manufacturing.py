@@ -109,6 +109,7 @@ def test_goals_are_the_endpoints_beside_stations():
     assert [goal.stay for goal in DOMAIN.simulator.tasks.cycle] == [2, 5, 10]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("domain", "share"), [(DOMAIN, 1 / 2), (PUBLISHED, 2 / 3)])
 def test_an_endpoint_between_two_stations_is_as_likely_as_the_odds_say(domain, share):
     layout = grid.parse(["0e0.e0", "1e.2e."], TILES)

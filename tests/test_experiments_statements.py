@@ -265,6 +265,13 @@ def test_the_page_states_the_peaks_and_what_congests():
     assert f"with {least[1]:.1f} to {top[1] + 1e-9:.1f} times as many" in PAGE
     rate = np.array(course("warehouse-uneven-human-33x36-200")["tasks"][:4]) / 100 / 50
     assert f"from {rate[1]:.1f} tasks per timestep to {rate[3]:.1f} within 200" in PAGE
+    pbs = [course(path.stem) for path in sorted((RESULTS / "courses").glob("*-published.json"))]
+    rates = [np.sum(one["tasks"]) / one["runs"] / 5000 for one in pbs]  # by domain, human first
+    assert [one["congested"] for one in pbs] == [0, 0, 3, 0, 3, 0]
+    assert [one["runs"] for one in pbs] == [10, 10, 3, 10, 3, 10]
+    assert f"move {rates[2]:.2f} and {rates[4]:.2f} tasks per timestep; no other run does" in PAGE
+    grown = f"{rates[3]:.2f}, {rates[5]:.2f} and {rates[1]:.2f}"
+    assert f"the grown layouts move {grown}" in PAGE
     jams = {"-".join(key): course(usage.path(Folders()).stem) for key, usage in USAGE.items()}
     assert [name for name, one in jams.items() if one["congested"]] == ["warehouse-even-tiled"]
     assert jams["warehouse-even-tiled"]["congested"] == 1

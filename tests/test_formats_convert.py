@@ -134,6 +134,7 @@ def test_python_converts_an_array_without_a_file(tmp_path):
     assert read_drawing(tmp_path / "a.map").rows == ROWS
 
 
+@pytest.mark.slow
 @there
 @pytest.mark.parametrize("path", LAYOUTS, ids=lambda path: path.stem)
 def test_published_layouts_come_back_with_all_their_keys(path, tmp_path):

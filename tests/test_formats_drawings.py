@@ -20,6 +20,7 @@ LIBRARIES = {".png": "PIL", ".xlsx": "openpyxl", ".dxf": "ezdxf"}
 EVEN = find_domain("warehouse-even")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DOMAIN_NAMES)
 @pytest.mark.parametrize("ending", LIBRARIES)
 def test_what_was_written_comes_back(name, ending, tmp_path):

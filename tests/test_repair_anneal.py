@@ -142,6 +142,7 @@ def test_a_run_cut_into_pieces_goes_the_same_way():
         assert (field == other).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("open_share", [0.5, 0.6, 0.75])
 def test_walkers_find_what_labelling_finds(open_share):
     """Every cell of random mazes: may it close without cutting the driving area in two?"""
@@ -221,6 +222,7 @@ def hard_layouts(domain, rows: int, cols: int) -> list[np.ndarray]:
     return [np.asarray(domain.frame(inside.astype(np.int8))) for inside in drawn]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["warehouse-even", "manufacturing"])
 def test_hard_layouts_become_feasible_with_few_moves(name):
     domain = find_domain(name)

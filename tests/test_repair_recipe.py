@@ -124,6 +124,7 @@ def test_engineers_rules_are_kept():
         assert 0 < found.lower_bound <= found.cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("built", "shelves"),
     [

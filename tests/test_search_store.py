@@ -28,6 +28,7 @@ def search(algorithm, iterations):
     return state
 
 
+@pytest.mark.slow
 def test_archives_of_rows_hold_what_archives_of_solutions_hold():
     soft = {"learning_rate": 0.1, "threshold_min": 0.0}
     dense = [GridArchive.empty(np.zeros(3, np.float32), GRID, None, **soft)]

@@ -96,6 +96,7 @@ def test_without_a_plan_a_drawing_of_tiles_is_all(plan):
     assert keep_from("keep.txt", domain).config.keep[0] == "w??????????"
 
 
+@pytest.mark.slow
 def test_a_zoo_generator_draws_in_a_hall_under_its_rules(plan):
     grow = ["generate", "zoo:warehouse-even/best", "--plan", "plan.txt", "--keep", "0:2,0:6"]
     assert run([*grow, "--out", "new.json"]) == 0

@@ -56,6 +56,7 @@ def test_commands_and_functions_take_them_and_say_so(hall, capsys):
     assert (facts["agents"], table[0].agents) == (1400, 1400)
 
 
+@pytest.mark.slow
 def test_a_sweep_of_a_known_size_runs_over_as_many_shares_of_its_agents(hall, capsys):
     assert run(["sweep", str(hall), "--timesteps", "2", "--seeds", "1", "--planner", "pibt"]) == 0
     # 50:400:50 of 200 robots, times seven.

@@ -26,6 +26,7 @@ def lines(tmp_path, text):
     return ["audit-run", str(tmp_path / "run.txt"), "--layout", str(tmp_path / "floor.txt")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".csv", ".json"])
 def test_a_simulated_run_is_written_read_back_and_valid(ending, tmp_path, capsys):
     warehouse = find_domain("warehouse-even").resized(9, 12)
