@@ -112,24 +112,25 @@ def test_a_ring_of_walls_counts_once(agent):
     ringed[0, 3] = 1
     assert evaluate_agent(agent, maze, runs=20) == evaluate_agent(agent, ringed, runs=20)
     ones = [compare_with_random(agent, one, mazes=2, runs=5, seed=3) for one in (maze, ringed)]
-    assert ones[0][1] == ones[1][1]
-    assert all(drawn.layout.shape == (16, 16) for drawn in ones[1][0])
-    assert [drawn.layout.sum() for mazes, _ in ones for drawn in mazes] == [60] * 6
+    assert ones[0].results == ones[1].results
+    assert ones[1].mazes[0].layout.shape == (16, 16)
+    assert [one.walls for one in ones] == [60, 60]
 
 
 def test_comparison_with_random_mazes_of_like_path_length(agent):
     layout = random_mazes(7, 1, 6, 6, 9)[0]
-    (given, *mazes), results = compare_with_random(agent, layout, mazes=4, runs=10, horizon=40)
+    found = compare_with_random(agent, layout, mazes=4, runs=10, horizon=40)
     length = oracle.longest(layout)[0]
-    assert (given.layout.sum(), given.shortest) == (9, length)
-    for maze, result in zip(mazes, results, strict=True):
+    assert (found.walls, found.given.shortest, found.horizon) == (9, length, 40)
+    for maze, result in zip(found.mazes, found.results, strict=True):
         assert maze.layout.sum() == 9
         assert (maze.shortest, maze.start, maze.goal) == oracle.longest(maze.layout)
         assert 0.8 * length <= maze.shortest == result.shortest <= 1.2 * length
         assert result.runs == 10 and result.mean_length <= 40
+    np.testing.assert_allclose(found.mean, np.mean(found.rates))
+    np.testing.assert_allclose(found.standard_error, np.std(found.rates, ddof=1) / 2)
     # A single action reaches no goal: the horizon holds for random mazes, too.
-    _, results = compare_with_random(agent, layout, mazes=2, runs=10, horizon=1)
-    assert [result.rate for result in results] == [0, 0]
+    assert compare_with_random(agent, layout, mazes=2, runs=10, horizon=1).mean == 0
     with pytest.raises(InputError, match="two mazes"):
         compare_with_random(agent, layout, mazes=1)
 
@@ -147,9 +148,6 @@ def test_the_command_leaves_the_random_mazes_beside_their_table(tmp_path, capsys
         assert f"{written}\n" in said
     facts = json.loads((tmp_path / "facts.json").read_text())["random_mazes"]
     assert (facts["mazes"], facts["walls"], facts["runs"]) == (3, 20, 4)
-    np.testing.assert_allclose(facts["mean"], np.mean(facts["rates"]))
-    error = np.std(facts["rates"], ddof=1) / 3**0.5
-    np.testing.assert_allclose(facts["standard_error"], error)
     with open("maze_random.csv", newline="") as table:
         listed = list(csv.DictReader(table))
     assert [float(row["success"]) for row in listed] == facts["rates"]

@@ -12,7 +12,7 @@ from qdenv.progress import Progress, silent
 from qdenv.simulation.maze.episode import Episode, reference_episodes, run_episode, run_episodes
 from qdenv.simulation.maze.policy import Weights, prepare
 from qdenv.simulation.maze.world import WALL, longest_path
-from qdenv.stats import wilson_interval
+from qdenv.stats import standard_error, wilson_interval
 from qdenv.types import Array, InputError
 
 BAND = (0.8, 1.2)  # lengths of random mazes' paths, as shares of the given maze's
@@ -36,6 +36,19 @@ class Drawn(NamedTuple):
     start: int  # cell
     goal: int  # cell
     shortest: int  # moves from start to goal
+
+
+class Comparison(NamedTuple):
+    """Success on random mazes that resemble one maze."""
+
+    walls: int  # of the given maze, inside its ring, and of every random one
+    given: Drawn  # the given maze without its ring
+    mazes: list[Drawn]  # the random mazes, without rings
+    horizon: int  # actions per episode
+    results: list[Success]  # of the agent on each of them
+    rates: list[float]  # success rates of all random mazes
+    mean: float  # of the rates
+    standard_error: float  # of the mean, over mazes
 
 
 def without_ring(layout: Array) -> np.ndarray:
@@ -171,15 +184,15 @@ def compare_with_random(
     runs: int = 50,
     seed: int = 0,
     horizon: int | None = None,
+    band: tuple[float, float] = BAND,
     progress: Progress = silent,
-) -> tuple[list[Drawn], list[Success]]:
+) -> Comparison:
     """Measure the agent on random mazes of like size, walls and path length (host side).
 
-    They resemble the maze `layout` (int8 [H, W], with or without a ring of walls): `BAND` holds
+    They resemble the maze `layout` (int8 [H, W], with or without a ring of walls): the `band` holds
     the least and largest length of the longest shortest path, as shares of its own. Each of the
     episodes per maze ends after `horizon` actions, `default_horizon` unless given; the seed is that
-    of walls, headings and actions. Returns the maze without its ring, then the random ones; and how
-    the agent did on each of these. Raises InputError for fewer than two mazes, or if 100,000 tries
+    of walls, headings and actions. Raises InputError for fewer than two mazes, or if 100,000 tries
     give no such mazes.
     """
     if mazes < 2:
@@ -188,7 +201,7 @@ def compare_with_random(
     horizon = horizon or default_horizon(inside)
     walls = int((inside == WALL).sum())
     given = Drawn(inside, *map(int, _longest_path(inside)))
-    low, high = (share * given.shortest for share in BAND)
+    low, high = (share * given.shortest for share in band)
     drawn = draw_mazes(
         seed, mazes, inside.shape, walls, lambda length: low <= length <= high, progress=progress
     )
@@ -196,4 +209,6 @@ def compare_with_random(
     for maze, key in zip(drawn, jax.random.split(jax.random.key(seed), mazes), strict=True):
         results.append(_measure(weights, maze.layout, key, runs, horizon))
         progress("solving random mazes", len(results) / mazes, "")
-    return [given, *drawn], results
+    rates = [result.rate for result in results]
+    error = float(standard_error(rates))
+    return Comparison(walls, given, drawn, horizon, results, rates, float(np.mean(rates)), error)

@@ -22,14 +22,13 @@ from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import file_name
-from qdenv.stats import standard_error
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import MAZES
 from qdenv.types import InputError
 
 if TYPE_CHECKING:  # imports jax
-    from qdenv.agent.evaluate import Drawn, Success
+    from qdenv.agent.evaluate import Comparison
 
 _MOST_MAZES = 10_000
 
@@ -166,7 +165,7 @@ def evaluate_agent(
     if number := random_mazes:
         with Bar("drawing random mazes") as bar:
             others = compare_with_random(weights, maze, number, runs, seed, steps, progress=bar)
-        facts["random_mazes"] = _report_random(table, *others, plan, result.rate)
+        facts["random_mazes"] = _report_random(table, others, plan, result.rate)
     if picture:
         from qdenv.study.recordings import trace_agent
         from qdenv.view.film import save_film
@@ -180,30 +179,24 @@ def evaluate_agent(
 
 
 def _report_random(
-    table: Place | None, mazes: list[Drawn], results: list[Success], plan: Plan, own: float
+    table: Place | None, others: Comparison, plan: Plan, own: float
 ) -> dict[str, Any]:
     """Describe random mazes by facts; write their table, layouts and a picture if `table` is given.
 
-    They are compared with the maze `plan`, the first of `mazes`, on which the agent succeeds with
-    the rate `own`.
+    They are compared with the maze `plan`, on which the agent succeeds with the rate `own`.
     """
-    lengths, rates = [maze.shortest for maze in mazes[1:]], [one.rate for one in results]
-    mean, error, walls = (
-        float(np.mean(rates)),
-        float(standard_error(rates)),
-        int(mazes[0].layout.sum()),
-    )
+    lengths = [maze.shortest for maze in others.mazes]
     say(
-        f"{len(lengths)} random mazes: {mean:.1%} +- {error:.1%}, "
-        f"{walls} walls each, shortest paths of {min(lengths)} to {max(lengths)} moves"
+        f"{len(lengths)} random mazes: {others.mean:.1%} +- {others.standard_error:.1%}, "
+        f"{others.walls} walls each, shortest paths of {min(lengths)} to {max(lengths)} moves"
     )
     facts = {
-        "mean": mean,
-        "standard_error": error,
+        "mean": others.mean,
+        "standard_error": others.standard_error,
         "mazes": len(lengths),
-        "walls": walls,
-        "runs": results[0].runs,
-        "rates": rates,
+        "walls": others.walls,
+        "runs": others.results[0].runs,
+        "rates": others.rates,
         "shortest": lengths,
     }
     if table is None:
@@ -211,19 +204,19 @@ def _report_random(
     from qdenv.view.layouts import draw_mazes  # imports matplotlib
 
     folder, rows = table.beside(""), []
-    titles = [f"{plan.name}: path {mazes[0].shortest}, success {own:.0%}"]
-    for number, (maze, one) in enumerate(zip(mazes[1:], results, strict=True)):
+    titles = [f"{plan.name}: path {others.given.shortest}, success {own:.0%}"]
+    for number, (maze, one) in enumerate(zip(others.mazes, others.results, strict=True)):
         path = folder.path / f"random_{number:03}.json"
-        details = {"walls": walls, "shortest": maze.shortest, "success": one.rate}
+        details = {"walls": others.walls, "shortest": maze.shortest, "success": one.rate}
         Layout(maze.layout, plan.domain, details).save(path)
-        counts = (*maze.layout.shape, walls, maze.shortest, one.runs)
+        counts = (*maze.layout.shape, others.walls, maze.shortest, one.runs)
         rows.append([path, *counts, one.rate, one.low, one.high, one.mean_length])
         titles.append(f"random: path {maze.shortest}, success {one.rate:.0%}")
     columns = ("file", "rows", "cols", "walls", "shortest", "runs", "success", "low", "high")
     say(f"{folder}: {len(rows)} layouts")
     write_csv(table.path, (*columns, "actions"), rows)
     say(table)
-    table.beside(".png").draw(draw_mazes(mazes, titles))
+    table.beside(".png").draw(draw_mazes([others.given, *others.mazes], titles))
     return facts | {"table": table.path}
 
 
