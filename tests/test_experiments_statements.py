@@ -169,9 +169,8 @@ def test_what_alpha_costs_and_brings():
     published, error = 20366.07, 653.46
     above = f"{100 * (one.sum() / published - 1):.0f} % above the published mean of alpha = 5"
     assert f"Alpha = 1 has the highest QD-score, {above}" in PAGE
-    assert (
-        f"spread by {round(error * 5**0.5, -1):,.0f}, so" in PAGE
-    )  # a standard error of five runs
+    # The error is the mean's of five runs.
+    assert f"spread by {round(error * 5**0.5, -1):,.0f}, so" in PAGE
 
 
 def test_the_planners_effort_over_the_elites_that_were_compared():

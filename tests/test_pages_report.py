@@ -265,7 +265,7 @@ def test_the_hand_made_rival_has_the_same_stations_or_there_is_none(folder):
     assert rival.name == "hand-made"
     assert np.array_equal(rival.plan.layout, human.plan.layout)
     shelves = [int((one.plan.layout == 1).sum()) for one in (human, plan)]
-    assert "with {} shelves, not {}".format(*shelves) in rival.source
+    assert "with {} shelves, not {}".format(*shelves) in rival.about
     assert find_rival(plan, [plan, human]) is None  # compared with each other already
     assert find_rival(human, [human]) is None and find_rival(maze, [maze]) is None
     moved = plan.plan.layout.copy()

@@ -16,6 +16,7 @@ from qdenv.study.recordings import Maps
 from qdenv.study.table import Peak, Row
 from qdenv.types import InputError, Measure
 from qdenv.view import COLUMN, PAGE, parse_width
+from qdenv.view.guidance import draw_guidance
 from qdenv.view.runs import draw_archives, draw_progress
 from qdenv.view.studies import draw_comparison, draw_over_agents, draw_peaks
 from qdenv.view.style import PALETTE, WARNING, format_name, new_figure, save_figure, styled
@@ -72,12 +73,15 @@ def every(monkeypatch):
             scene(), "plan, 10 agents: flows, more would fit", width
         ),
         "time": lambda width: draw_panel(scene(), "time", width),
+        "guidance": lambda width: draw_guidance(
+            scene().free, 1 + RNG.random((5, 12, 16)), RNG.random((5, 12, 16)), "plan"
+        ),
     }
 
 
 KINDS = (
     "comparison", "bars", "peaks", "throughput", "success", "progress", "archives", "traffic",
-    "time",
+    "time", "guidance",
 )  # fmt: skip
 
 
@@ -109,7 +113,8 @@ def test_letters_can_be_read_inside_the_picture_and_legends_cover_no_data(every,
         box = text.get_window_extent()
         if text not in ticks:
             assert whole.x0 <= box.x0 and box.x1 <= whole.x1, text.get_text()
-    assert figure.get_figwidth() == width
+    if kind != "guidance":  # as wide as its floor needs
+        assert figure.get_figwidth() == width
     for legend in legends(figure):
         box = legend.get_window_extent()
         for axes in figure.axes:

@@ -82,7 +82,10 @@ def test_the_flow_is_what_more_agents_drive_than_back():
     assert np.isnan(share_along(preferences(ONES, FREE), moves))
     panels = draw_guidance(FREE, costs, moves, "ring").axes
     assert set(arrows(panels[0])) == {(0, 0, RIGHT), (0, 2, DOWN)}
-    assert set(arrows(panels[1])) == {(0, 0, RIGHT), (1, 2, UP)}
+    flow = arrows(panels[1])
+    assert set(flow) == {(0, 0, RIGHT), (1, 2, UP)}
+    assert [colour[3] for colour in flow.values()] == pytest.approx([1, 1])  # 0.3 more than back
+    assert "darkest: 0.3 more moves" in panels[1].get_xlabel()
     assert panels[1].get_title() == "where agents drove: 50% the cheaper way"
 
 

@@ -80,10 +80,8 @@ def draw_preferences(axes: Axes, free: np.ndarray, costs: np.ndarray) -> None:
 def draw_flow(axes: Axes, free: np.ndarray, costs: np.ndarray, moves: np.ndarray) -> None:
     """Draw the ways that more agents drove than the opposite ones, and how many obey."""
     _draw_floor(axes, free)
-    along, net = (
-        share_along(preferences(costs, free), moves),
-        moves[[RIGHT, DOWN]] - backwards(moves, 0.0),
-    )
+    along = share_along(preferences(costs, free), moves)
+    net = moves[[RIGHT, DOWN]] - backwards(moves, 0.0)
     obey = "" if np.isnan(along) else f": {along:.0%} the cheaper way"
     axes.set_title(f"where agents drove{obey}")
     # A few busy cells must not pale all others.

@@ -25,7 +25,7 @@ from qdenv.view.guidance import STRONGEST, draw_arrows, share_along
 from qdenv.view.layouts import draw_plan
 from qdenv.view.page import Page, listed
 from qdenv.view.report import WIDTH, make_report
-from qdenv.view.report_subjects import Subject, find_rival
+from qdenv.view.report_subjects import Rival, Subject, find_rival
 from qdenv.view.studies import draw_over_agents
 from qdenv.view.style import to_svg
 from qdenv.view.traffic import Scene, draw_panel, make_scene, top_of
@@ -40,7 +40,7 @@ class FleetRequest(NamedTuple):
     """What a report on a fleet shall show."""
 
     subjects: list[Subject]  # the layouts, of one domain
-    rivals: list[Subject | None]  # what people draw by hand around the stations of each subject
+    rivals: list[Rival | None]  # what people draw by hand around the stations of each subject
     agents: int | None  # the number of the close look; None for the first layout's peak
     counts: tuple[int, ...]  # the numbers of agents that are simulated, few to many
     config: FleetConfig  # the numbers of a simulation
@@ -126,7 +126,7 @@ def report_fleet(
             "source": one.source,
             "worth_having": content["capacity"],
             "hand_made": rival
-            and {"layout": rival.name, "about": rival.source, "differences": apart},
+            and {"layout": rival.name, "about": rival.about, "differences": apart},
         }
     jammed = any(row.success_rate < 1 for row in rows)
     return make_report(
@@ -177,7 +177,7 @@ def _simulate(
     return agents, rows, studies
 
 
-def _compare(subject: Subject, rival: Subject | None, rows: list[Row], row: Row) -> dict[str, Any]:
+def _compare(subject: Subject, rival: Rival | None, rows: list[Row], row: Row) -> dict[str, Any]:
     """Return the numbers of one layout, and by how much it moves more than the hand-made one."""
     own = sorted((one for one in rows if one.layout == subject.name), key=lambda one: one.agents)
     theirs = {one.agents: one for one in rows if rival and one.layout == rival.name}
@@ -235,7 +235,7 @@ def _draw_changes(subjects: Sequence[Subject], scenes: Sequence[Scene]) -> list[
 
 
 def _draw(
-    subject: Subject, study: Study, rival: Subject | None, number: int, scene: Scene
+    subject: Subject, study: Study, rival: Rival | None, number: int, scene: Scene
 ) -> dict[str, Any]:
     """Return the pictures of one layout, and what its study found."""
     domain, layout, maps = subject.plan.domain, subject.plan.layout, scene.maps

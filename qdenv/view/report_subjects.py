@@ -18,10 +18,17 @@ class Subject(NamedTuple):
     """A floor plan that is reported on."""
 
     name: str  # how the page calls it
-    # the file or run that it comes from, as the command line names it; of a rival, what it holds
-    source: str
+    source: str  # the file or run that it comes from, as the command line names it
     plan: Plan  # the layout and its domain
     run: RunDirectory | None = None  # the run whose best elite it is; None for a file
+
+
+class Rival(NamedTuple):
+    """The layout that people draw by hand, to compare with."""
+
+    name: str  # how the page calls it
+    plan: Plan  # its layout and domain
+    about: str  # what it holds, and where that differs
 
 
 def distinct(subjects: Sequence[Subject]) -> list[Subject]:
@@ -42,7 +49,7 @@ def distinct(subjects: Sequence[Subject]) -> list[Subject]:
     return named
 
 
-def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Subject | None:
+def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival | None:
     """Draw what people design by hand around the same stations; None where there is no such layout.
 
     Where stations stand decides much of what a floor plan moves: one with others says nothing about
@@ -70,4 +77,4 @@ def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Subject | None:
     differ = [f"{other[kind]} {kind}, not {own[kind]}" for kind in own if own[kind] != other[kind]]
     holds = f", with {listed(differ)}" if differ else ""
     about = f"What people draw by hand at {size}, around the same stations{holds}."
-    return Subject(name, about, Plan(name, human, domain, assumed=False))
+    return Rival(name, Plan(name, human, domain, assumed=False), about)
