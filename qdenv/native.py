@@ -24,6 +24,7 @@ import numba
 import numpy as np
 import platformdirs
 from numba.core.caching import IndexDataCacheFile
+from numba.core.registry import CPUDispatcher
 from numba.extending import register_jitable
 
 MAX_FOLDERS = 128  # a dozen per state of the sources: other branches, other installations
@@ -43,8 +44,13 @@ Numbers: TypeAlias = Any  # several of them in one `np.record`, from `numbers`
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def compiled(function: Function, forceinline: bool = False) -> Function:
-    """Compile `function`, with a disk cache where there is a writable place for one."""
+def compiled(
+    function: Function, forceinline: bool = False, inner_options: tuple[str, ...] = ()
+) -> Function:
+    """Compile `function`, with a disk cache where there is a writable place for one.
+
+    `inner_options` are names of those settings of numba that are not the default here.
+    """
     folder = _cache_folder(function.__module__)
     # numba reads its setting when a function is declared. A changed environment would reach other
     # packages, and processes started from here that may run other sources.
@@ -55,10 +61,14 @@ def compiled(function: Function, forceinline: bool = False) -> Function:
         made: Any = numba.njit(**options)(function)
     finally:
         numba.config.CACHE_DIR = before
+    # A later version may drop some: the code is then only slower, or takes longer to compile.
+    known = getattr(getattr(made, "targetdescr", None), "options", None)
+    made.targetoptions |= {name: name != "_nrt" for name in inner_options if hasattr(known, name)}
     # Inner attributes of numba: without them, a full or damaged cache is an error again, and code
     # is found only by the very files that it was compiled from.
     if folder is not None and hasattr(made, "_cache"):
         name = f"{function.__module__}.{function.__qualname__}-{function.__code__.co_firstlineno}"
+        name += f"-{len(inner_options)}"
         made._cache._cache_file = IndexDataCacheFile(str(folder), name, source_stamp=None)
         made._cache = _Forgiving(made._cache, folder)
     return made
@@ -97,13 +107,20 @@ def kernel(function: Function, forceinline: bool = False) -> Function:
     handed on: more than half of the time of a small step. Here the caller holds all arrays until
     the call ends, so nothing needs counting. A function that does make an array in spite of its
     promise is refused when it is compiled.
+
+    Most kernels are called by kernels only. Those need no code that takes records of Python apart,
+    array by array, which is a quarter of what there is to compile: so Python calls a kernel of its
+    own.
     """
-    made: Any = compiled(function, forceinline)
-    # An inner option of numba, which a later version may drop: the kernels are then only slower.
-    options = getattr(getattr(made, "targetdescr", None), "options", None)
-    if hasattr(options, "_nrt"):
-        made.targetoptions["_nrt"] = False
+    options = "_nrt", "no_cfunc_wrapper"
+    made: Any = compiled(function, forceinline, (*options, "no_cpython_wrapper"))
+    made.__class__, made.outer = _Kernel, compiled(function, forceinline, options)
     return made
+
+
+class _Kernel(CPUDispatcher):
+    def __call__(self, *arguments: Any) -> Any:
+        return self.outer(*arguments)
 
 
 def inlined(function: Function) -> Function:
