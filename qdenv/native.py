@@ -108,9 +108,8 @@ def kernel(function: Function, forceinline: bool = False) -> Function:
     the call ends, so nothing needs counting. A function that does make an array in spite of its
     promise is refused when it is compiled.
 
-    Most kernels are called by kernels only. Those need no code that takes records of Python apart,
-    array by array, which is a quarter of what there is to compile: so Python calls a kernel of its
-    own.
+    A quarter of the machine code of a kernel would take the records of Python apart. Only kernels
+    call most kernels: that code is left out, and compiled for those that Python calls.
     """
     options = "_nrt", "no_cfunc_wrapper"
     made: Any = compiled(function, forceinline, (*options, "no_cpython_wrapper"))
@@ -123,9 +122,8 @@ class _Kernel(CPUDispatcher):
         return self.outer(*arguments)
 
 
-def inlined(function: Function) -> Function:
-    """Compile a `kernel` into its callers: a call hands over seven words per array of a record."""
-    return kernel(function, forceinline=True)
+# Compile a `kernel` into its callers: a call hands over seven words per array of a record.
+inlined = functools.partial(kernel, forceinline=True)
 
 
 def formula(function: Function) -> Function:

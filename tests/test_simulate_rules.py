@@ -151,7 +151,7 @@ def test_both_backends_let_such_a_stay_wait():
     for window in range(2):
         ahead = cells[5 * window : 5 * window + 6]
         run.paths[0, :6] = ahead
-        drive_window(run)
+        drive_window(run, None)
         fleet = fleet._replace(legs=jnp.zeros_like(fleet.legs))
         for cell in ahead[1:]:
             fleet, finished = drive(world, fleet, jnp.int32([cell]), active, np.uint32(0))

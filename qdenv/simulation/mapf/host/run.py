@@ -36,7 +36,7 @@ class Fallback(NamedTuple):
 
 
 def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
-    """Compile the loop over the windows of a run, (run, fields, plan, fallback) -> status.
+    """Compile the loop over the windows of a run, by the annotations of `run_windows` below.
 
     `plan_window`, (run, fields, plan, fallback, seed) -> status, sets ``fallback.path`` and
     ``fallback.is_used`` and changes nothing else of the run. It is `native.shared`, found by its
@@ -44,7 +44,13 @@ def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
     function is another in each process.
     """
 
-    def run_windows(run: HostRun, fields: DistanceFields, plan: Any, fallback: Fallback) -> int:
+    def run_windows(
+        run: HostRun,
+        fields: DistanceFields,
+        plan: Any,
+        fallback: Fallback,
+        has_orders: bool | None,
+    ) -> int:
         counters, settings = run.counters, run.settings
         plans = chance.mix(settings.seed, chance.PLANS)
         while counters.time < settings.timesteps:
@@ -54,7 +60,7 @@ def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
                 return status
             if not _adopt(run, fields, fallback, seed):
                 return FIELDS_FULL
-            drive_window(run)
+            drive_window(run, has_orders)
             if counters.congested_at and settings.stop_when_congested:
                 break
         return DONE
@@ -149,7 +155,8 @@ def run_to_the_end(planner: Planner, run: HostRun) -> None:
     )
     plan = planner.make_plan(run, size)
     assert planner.run_windows is not None  # else runs are computed by XLA
-    while (status := planner.run_windows(run, fields, plan, fallback)) != DONE:
+    has_orders = grid.orders.size > 0 or None
+    while (status := planner.run_windows(run, fields, plan, fallback, has_orders)) != DONE:
         if status == FIELDS_FULL:
             fields = make_room(fields, run.goal.reshape(-1))
         else:

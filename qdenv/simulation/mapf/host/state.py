@@ -135,8 +135,11 @@ def place_agents(run: HostRun) -> None:
 
 
 @kernel
-def drive_window(run: HostRun) -> None:
-    """Drive the first steps of all paths; count, record and look for a jam."""
+def drive_window(run: HostRun, has_orders: bool | None) -> None:
+    """Drive the first steps of all paths; count, record and look for a jam.
+
+    `has_orders` is None where work never runs out: numba then leaves out what deals with orders.
+    """
     counters, settings = run.counters, run.settings
     begin, horizon, last = counters.time, settings.horizon, run.paths.shape[1] - 1
     goals = chance.mix(settings.seed, chance.GOALS)
@@ -144,8 +147,8 @@ def drive_window(run: HostRun) -> None:
     for step in range(horizon):
         drawn = chance.mix(goals, begin + step)
         for agent in range(run.position.size):
-            _drive(run, agent, step, begin + step, drawn)
-        if run.grid.orders.size > 0:
+            _drive(run, has_orders, agent, step, begin + step, drawn)
+        if has_orders is not None:
             _count_orders(run, begin + step)
     for agent in range(run.position.size):
         # The rest of the path is kept; its last cell is repeated.
@@ -156,12 +159,14 @@ def drive_window(run: HostRun) -> None:
     if jam and counters.congested_at == 0:
         counters.congested_at = begin + horizon
     counters.time = min(begin + horizon, settings.timesteps)
-    if run.grid.orders.size > 0:
+    if has_orders is not None:
         _hand_out(run, begin + horizon)
 
 
 @formula
-def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
+def _drive(
+    run: HostRun, has_orders: bool | None, agent: int, step: int, time: int, drawn: int
+) -> None:
     """Move one agent by one step of its path and serve its goal, as `agents.drive` does."""
     grid = run.grid
     slot = run.goal[0, agent]
@@ -181,7 +186,7 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
     left, finished = serve(run.remaining_service[agent], on_goal, service_time)
     run.remaining_service[agent] = left
     run.age[agent] += 1
-    if idle:
+    if has_orders is not None and idle:
         run.age[agent] = 0  # an idle agent gives way to all others
         run.counters.idle += time < run.settings.timesteps
     if run.block.positions.size:
@@ -197,7 +202,7 @@ def _drive(run: HostRun, agent: int, step: int, time: int, drawn: int) -> None:
         run.goal[1, agent] = _draw_goal(grid, kind + 1, drawn, agent)
         if time < run.settings.timesteps:
             run.finished[time] += 1
-        if kind == 0 and grid.orders.size > 0:
+        if has_orders is not None and kind == 0:
             if run.counters.waiting > 0:
                 run.counters.waiting -= 1
                 run.counters.begun += 1

@@ -181,13 +181,12 @@ def _left(
     work: SearchArrays, fields: DistanceFields, grid: GridMap, agent: Agent, leg: int, cell: int
 ) -> int:
     """Return the cost left from a cell until the current goal is done, less than 0 beyond."""
+    to_go = distance(fields, grid, agent.goal[leg], cell)
     if leg == 0:
-        to_go = distance(fields, grid, agent.goal[0], cell)
         return cost_units(work)[1] * to_go + cost_units(work)[0] * agent.service_time[0]
     if work.numbers.between == NOT_MEASURED:
         work.numbers.between = distance(fields, grid, agent.goal[1], agent.cell[0])
-    to_go = distance(fields, grid, agent.goal[1], cell) - work.numbers.between
-    return cost_units(work)[1] * to_go
+    return cost_units(work)[1] * (to_go - work.numbers.between)
 
 
 @formula
