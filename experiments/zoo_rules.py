@@ -28,47 +28,43 @@ class Rule(NamedTuple):
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
     """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
-    best = "moved most of those tried at the largest size, and flowed there under both planners"
-    regular = f"the best of the regular ones with few {noun}"
+    best = (
+        "moved most of those tried for it at the largest size, and flowed there under both planners"
+    )
+    regular = f"one of the best regular ones with few {noun}"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),
-        Rule(
-            "regular", "one pattern all over: the lowest entropy of the better half", f"-{ENTROPY}"
-        ),
-        Rule("varied", "no two corners alike: the highest entropy of the better half", ENTROPY),
+        Rule("regular", "one pattern all over: of low entropy", f"-{ENTROPY}"),
+        Rule("varied", "no two corners alike: of high entropy", ENTROPY),
         Rule(f"few-{noun}", few, f"-{things}"),
         Rule(f"many-{noun}", many, things),
-        Rule("orderly", "the best of the most regular tenth", "objective", tenth),
+        Rule("orderly", "one of the best of the most regular tenth", "objective", tenth),
         Rule(f"orderly-few-{noun}", regular, "objective", (third, (f"-{things}", 0.3))),
-        Rule("clean", "of the better half, the plan most like its drawing", "similarity"),
-        Rule("calm", "robots wait the least, of the better half", "-waiting"),
-        Rule(
-            "short-ways", "the shortest ways from task to task, of the better half", "-path_length"
-        ),
+        Rule("clean", "of high similarity to its drawing", "similarity"),
+        Rule("calm", "robots wait little", "-waiting"),
+        Rule("short-ways", "short ways from task to task", "-path_length"),
     )
 
 
-def in_mazes(
-    thing: str, names: tuple[str, str], most: tuple[str, str], much: tuple[str, str]
-) -> tuple[Rule, ...]:
+def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple[Rule, ...]:
     """List the rules of mazes that differ in a measure, and in how far the agent walks.
 
-    The pairs name generators with much and with little of it, its extremes, and much and little.
+    The pairs name generators with much and with little of it, and much and little.
     """
     more, less = names
     far, near = (SURE, ("shortest", 0.2)), (SURE, ("-shortest", 0.3))
     dense, sparse = (SURE, (thing, 0.1)), (SURE, (f"-{thing}", 0.1))
     missed = (("shortest", 0.2), ("success", 0.7))
-    best = "a long way that the agent finds most surely at the largest size"
+    best = "a long way that the agent finds at the largest size, too"
     return (
         Rule(USUAL, best, "shortest", (SURE,), tried=8),
         Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
         Rule("winding", "a goal that is near and found late", ACTIONS, near),
-        Rule("wandering", "the most actions of the agent that arrives", ACTIONS, (SURE,)),
-        Rule(more, f"{most[0]} that leave a long way", thing, far),
-        Rule(less, f"{most[1]} that leave a long way", f"-{thing}", far),
-        Rule(f"{more}-long", f"the longest way with {much[0]}", "shortest", dense),
-        Rule(f"{less}-long", f"the longest way with {much[1]}", "shortest", sparse),
+        Rule("wandering", "many actions of the agent, which arrives", ACTIONS, (SURE,)),
+        Rule(more, f"{much[0]} that leave a long way", thing, far),
+        Rule(less, f"{much[1]} that leave a long way", f"-{thing}", far),
+        Rule(f"{more}-long", f"a long way with {much[0]}", "shortest", dense),
+        Rule(f"{less}-long", f"a long way with {much[1]}", "shortest", sparse),
         Rule("hard", "a long way that the agent often misses", "-success", missed),
     )
 
@@ -76,8 +72,8 @@ def in_mazes(
 _WAREHOUSE = with_fleets(
     "connected shelf components",
     "blocks",
-    "long shelves: the fewest connected blocks of the better half",
-    "short shelves: the most connected blocks of the better half",
+    "long shelves: few connected blocks",
+    "short shelves: many connected blocks",
 )
 # By domain: the rule of the best, which orders its candidates, and those of the others.
 RULES: Mapping[str, tuple[Rule, ...]] = {
@@ -87,19 +83,17 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     "manufacturing": with_fleets(
         "workstations",
         "stations",
-        "the fewest stations of the better half",
-        "the most stations of the better half",
+        "few stations",
+        "many stations",
     ),
     "maze-walls": in_mazes(
         "number of walls",
         ("dense", "open"),
-        ("the most walls", "the fewest walls"),
         ("many walls", "few walls"),
     ),
     "maze-entropy": in_mazes(
         ENTROPY,
         ("varied", "regular"),
-        ("the most irregular walls", "the most regular walls"),
         ("irregular walls", "regular walls"),
     ),
 }

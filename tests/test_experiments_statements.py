@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,6 +14,7 @@ from experiments.__main__ import find
 from experiments.figure_19 import USAGE
 from experiments.pieces import Folders
 from experiments.polish import LEVELS, Row
+from experiments.published import TRAFFIC
 from qdenv.io.records import read_table
 from qdenv.search.strategies.cma_es import refresh_gap
 from qdenv.shipped import named
@@ -245,12 +247,16 @@ def test_the_page_states_what_fleets_move():
         rows_of = {(row["layout"], row["agents"]): row for row in csv.DictReader(lines)}
     paper = rows_of["warehouse_even_nca_a5_eval", "1400"]
     assert f"{paper['successes']} of {paper['runs']} runs succeed" in PAGE
+    for domain, robots in (("even", "1400"), ("uneven", "1000")):
+        tiled = rows_of[f"warehouse_{domain}_nca_a5_tiled", robots]
+        assert re.search("{successes} of {runs}[a-z ]* of `{domain}`".format(**tiled), PAGE)
     peaks = {(row[0], row[1]): row[3].split(", ") for row in table("figure_18")}
     front, large = page("README.md"), "101 x 102"
     for domain in ("warehouse-uneven", "warehouse-even", "manufacturing"):
         by_hand, robots = peaks[domain, large]
         ours, theirs = named(domain).collection.generators[0].sizes[-1].driven
-        assert f"| {ours.agents:,} | {ours.mean:.1f} |" in front
+        paper = TRAFFIC[domain, "nca", ours.agents].throughput
+        assert f"| {ours.agents:,} | {ours.mean:.2f} | {paper:.2f} |" in front
         assert (ours.success, theirs.success) == (1, 1)  # under both planners
         assert f"| {float(by_hand) + 1e-9:.1f} ({int(robots):,}" in front
 
@@ -401,3 +407,16 @@ def test_the_page_of_guidance_states_what_saved_costs_move():
         runs = run_seeds(plan.floor, plan.domain.simulator.tasks, config, range(10)).runs
         moved = sample_of([float(run.throughput) for run in runs])
         assert wording.format(f"{moved.mean:.2f} ± {moved.error:.2f}") in text
+
+
+def test_the_guide_says_what_two_planners_move_with_costs():
+    guide = page("notebooks/how_to/guidance.md")
+    with (RESULTS / "guidance_planners.csv").open() as lines:
+        saved = list(csv.DictReader(lines))
+    moved = {(row["layout"], row["agents"]): [] for row in saved}
+    for row in saved:
+        moved[row["layout"], row["agents"]].append(float(row["throughput"]))
+    assert len(saved) == 36 and all(row["success_rate"] == "1.0" for row in saved)
+    for values in moved.values():
+        cells = [f"**{value:.2f}**" if value == max(values) else f"{value:.2f}" for value in values]
+        assert re.search(r" \([\d.]+\) (?:\| )+".join(map(re.escape, cells)), guide), cells
