@@ -63,7 +63,9 @@ def compiled(
         numba.config.CACHE_DIR = before
     # A later version may drop some: the code is then only slower, or takes longer to compile.
     known = getattr(getattr(made, "targetdescr", None), "options", None)
-    made.targetoptions |= {name: name != "_nrt" for name in inner_options if hasattr(known, name)}
+    for name in inner_options:
+        if hasattr(known, name):
+            made.targetoptions[name] = name != "_nrt"
     # Inner attributes of numba: without them, a full or damaged cache is an error again, and code
     # is found only by the very files that it was compiled from.
     if folder is not None and hasattr(made, "_cache"):
@@ -113,7 +115,8 @@ def kernel(function: Function, forceinline: bool = False) -> Function:
     """
     options = "_nrt", "no_cfunc_wrapper"
     made: Any = compiled(function, forceinline, (*options, "no_cpython_wrapper"))
-    made.__class__, made.outer = _Kernel, compiled(function, forceinline, options)
+    if isinstance(made, CPUDispatcher):  # else NUMBA_DISABLE_JIT is set
+        made.__class__, made.outer = _Kernel, compiled(function, forceinline, options)
     return made
 
 

@@ -30,6 +30,20 @@ def plus(x):
     return x + {}
 """
 
+KERNELS = """
+from qdenv.native import kernel
+
+@kernel
+def plus(x):
+    return x + 2
+
+@kernel
+def answer(x):
+    return plus(x)
+
+print(answer(40), plus(40))
+"""
+
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
@@ -114,6 +128,12 @@ def test_a_full_cache_is_named_and_costs_time_alone(package, tmp_path, capfd):
     cache = tmp_path / "cache"
     assert run(package, cache, program=FULL) == [42, 0]
     assert "cannot be kept here (No space left on device)" in capfd.readouterr().err
+
+
+def test_python_and_other_kernels_call_a_kernel(package: Path, tmp_path: Path):
+    (package / "outer.py").write_text(KERNELS)
+    for variables in ({}, {}, {"NUMBA_DISABLE_JIT": "1"}):  # compiled, found on disk, not compiled
+        assert run(package, tmp_path / "cache", **variables) == [42, 42]
 
 
 def test_only_the_last_used_folders_are_kept(tmp_path: Path):
