@@ -53,7 +53,7 @@ class Place(NamedTuple):
         """Return the place of another result: the same name, another ending.
 
         It replaces a file only where this place does: a picture of that name that was there before
-        its data is somebody's, and the next free name is taken.
+        its data is the user's own, and the next free name is taken.
         """
         path = self.path.with_name(f"{self.path.stem}{ending}")
         if ending and (self.automatic or (not self.replaces and path.exists())):
