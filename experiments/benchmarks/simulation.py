@@ -70,7 +70,9 @@ def simulate(
     cases = own_cases(longest)
     if reference:
         cases = recorded_cases(reference, layouts or reference.parent / "layouts", longest)
-    chosen = (case for case in cases if match in case[0])
+    chosen = [case for case in cases if match in case[0]]
+    if not chosen:
+        raise qdenv.InputError(f"no layout's name contains {match!r}")
     rows = (simulate_case(*pair, seeds, audit) for pair in product(chosen, planners))
     return save(json, fleets=show("fleets", rows))
 
