@@ -1,0 +1,220 @@
+"""Figures of the README, the results page, the notes and guides, computed from what is saved."""
+
+import csv
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import STUDY_DATA
+
+from experiments.figure_18 import PEAKS
+from experiments.pieces import Folders
+from experiments.published import AGENTS, FLEETS, TABLE_4, TRAFFIC
+from experiments.zoo_rules import RULES
+from qdenv.run.directory import RunDirectory
+from qdenv.search.strategies.cma_es import refresh_gap
+from qdenv.shipped import named
+from qdenv.stats import difference
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "experiments" / "results"
+WORDS = ("no", "one", "two", "three", "four", "five")
+
+
+def page(path: str) -> str:
+    return " ".join((ROOT / path).read_text().split())
+
+
+def rows(path: str, **wanted: str) -> list[dict[str, str]]:
+    with (RESULTS / path).open() as lines:
+        found = list(csv.DictReader(lines))
+    return [row for row in found if all(row[name] == value for name, value in wanted.items())]
+
+
+FRONT, PAGE = page("README.md"), page("experiments/README.md")
+NOTES = page("notebooks/reference/notes.md")
+
+
+def flows(maker: str, domain: str, planner: str) -> list[bool]:
+    """List which runs on a layout of 101 x 102 with the paper's agents flow, by seed."""
+    which = {"layout": f"{domain}-{maker}-101x102", "planner": planner}
+    runs = rows(f"traffic/makers-{domain}.csv", **which, agents=str(AGENTS[domain][101, 102]))
+    return [row["congested"] == "False" for row in sorted(runs, key=lambda row: int(row["seed"]))]
+
+
+def on_papers_layouts(*agents: int) -> list[dict[str, str]]:
+    """List what priority-based search, by either rule, makes of the paper's NCA layouts."""
+    own = [row for row in rows("congestion.csv", timesteps="1000") if int(row["agents"]) in agents]
+    own = [row for row in own if row["layout"].endswith("_nca_a5")]
+    return [row for row in own if row["planner"] in ("published", "plain")]
+
+
+def test_the_pages_state_how_often_the_zoos_best_flow_under_the_papers_planner():
+    every = even, uneven, factory = [flows("zoo", domain, "published") for domain in FLEETS]
+    assert {len(runs) for runs in every} == {5}
+    a, b, c = (f"{100 * TRAFFIC[one, 'nca', AGENTS[one][101, 102]].success:.0f}" for one in FLEETS)
+    succeed = f"{sum(uneven)}, {sum(even)} and {sum(factory)} of 5 runs succeed, one of which"
+    assert f"{succeed} chose the generator (paper: {b}, {a}, {c} %)" in FRONT
+    assert f"{WORDS[sum(even)]} of five runs succeed in `warehouse-even`" in PAGE
+    assert f"{WORDS[sum(uneven)]} of five in `warehouse-uneven`** (paper: {a} and {b} % of" in PAGE
+    assert f"all {WORDS[sum(factory)]} succeed (paper: {c} %)" in PAGE
+    others = "{}, {} and {}".format(*(sum(runs[1:]) for runs in every))
+    assert f"of the four others {others} succeed" in PAGE
+    ours = named("warehouse-even").collection.generators[0].sizes[-1].driven[0]
+    assert f"Ours: {WORDS[ours.runs]} runs of {ours.timesteps:,} timesteps, none" in FRONT
+    runs = flows("cma-es", "warehouse-even", "high")
+    assert f"102 {sum(runs)} of {len(runs)} do)" in PAGE
+    assert f"{len(runs) - sum(runs)} of CMA-ES's {len(runs)} runs congest" in PAGE
+
+
+def test_the_page_states_where_the_layout_designed_by_hand_moves_more():
+    hand, ours = (PEAKS["manufacturing", (33, 36), maker] for maker in ("human", "nca"))
+    theirs, own = hand.read(Folders()), ours.read(Folders())
+    peaks = [f"{one.mean_of_all:.2f} with {one.agents}" for one in (theirs, own)]
+    less = difference(own.sample_of_all, theirs.sample_of_all)  # in per cent of the hand-made
+    percent = f"{-less.percent:.0f} % ({-less.high:.0f} to {-less.low:.0f})"
+    assert "{} robots against {}, {}".format(*peaks, percent) in PAGE
+    second = sorted(ours.outcomes(Folders()), key=lambda one: one.mean_of_all)[-2]
+    assert not difference(second.sample_of_all, own.sample_of_all).significant
+    same = f"moves the same with {second.agents} as with {own.agents}"
+    assert f"{same}, the one by hand most with {theirs.agents})" in PAGE
+
+
+def test_the_page_sets_scores_beside_the_published_ones():
+    for run in ("warehouse-even", "manufacturing", "maze-walls", "maze-entropy"):
+        last, paper = rows(f"runs/{run}/metrics.csv")[-1], TABLE_4[run, "cma-mae"]
+        score = float(last["qd_score"])
+        ours = f"QD-score {score:,.0f} and coverage {float(last['coverage']):.3f} against "
+        theirs = f"{paper.qd_score:,.0f} ± {paper.qd_error:,.0f} and {paper.coverage:.2f}"
+        above = f", {100 * (score / paper.qd_score - 1):.0f} % above the published mean ("
+        assert ours + theirs + above * run.startswith("maze") in PAGE
+
+
+def test_the_notes_state_when_the_hand_made_warehouse_jams():
+    fleets = rows("congestion.csv", layout="warehouse_human", timesteps="1000")
+    found = {(row["agents"], row["planner"]): row for row in fleets}
+    few = found["150", "published"]
+    moved = "{:.2f}, {successes} of {runs} runs flow".format(float(few["throughput"]), **few)
+    assert f"| 150 robots | {moved} |" in NOTES
+    for agents in ("200", "250", "300"):
+        row = found[agents, "published"]
+        span = "at {:.0f} to {:.0f}".format(float(row["jam_least"]), float(row["jam_most"]))
+        jams = f"| all {int(row['runs']) - int(row['successes'])} congest"
+        assert f"| {agents} {jams}{f', {span}' * (agents == '200')} |" in NOTES
+    own = {row["planner"]: float(row["cpu_seconds"]) for row in fleets if row["agents"] == "200"}
+    cells = (
+        "200 robots | {published:.2g} until they congest | {plain:.2g} | {high:.2g} | {low:.2g} |"
+    )
+    assert cells.format(**own) in NOTES
+
+
+def test_the_notes_state_what_pbs_makes_of_published_layouts():
+    spent = [float(row["cpu_seconds"]) for row in on_papers_layouts(200)]
+    assert f"takes `pbs` {min(spent):.1f} to {max(spent):.1f} CPU seconds" in NOTES
+    (large,) = rows("congestion.csv", layout="warehouse_even_nca_a5_eval")
+    spent = f"takes `pbs` {float(large['cpu_seconds']):.0f} CPU seconds"
+    paper = 100 * TRAFFIC["warehouse-even", "nca", int(large["agents"])].success
+    reach = "There {successes} of {runs} runs reach the end and the others jam".format(**large)
+    assert f"{spent}. {reach}; in the paper {paper:.0f} % do not jam" in NOTES
+    (edge,) = rows("congestion.csv", layout="warehouse_even_dsage", timesteps="5000")
+    jams, moved = int(edge["runs"]) - int(edge["successes"]), f"{float(edge['throughput']):.2f}"
+    jams = f"{jams} of {edge['runs']} runs of T = {edge['timesteps']} congest"
+    assert f"{jams}, and the others move {moved} as in the paper" in NOTES
+    assert moved == f"{TRAFFIC['warehouse-even', 'dsage', 200].throughput:.2f}"
+
+
+def test_the_notes_compare_pbs_with_the_published_program():
+    path = STUDY_DATA / "rhcr_baseline.json"
+    if not path.exists():
+        pytest.skip("no recorded runs of the C++ here (QDENV_STUDY_DATA names their folder)")
+    spent, apart, records = [], [], json.loads(path.read_text())["records"]
+    for row in on_papers_layouts(150, 200, 250):
+        key = (f"{row['layout']}.json", int(row["agents"]), 1000)
+        theirs = [one for one in records if (one["layout"], one["n_agents"], one["T"]) == key]
+        mean = np.mean([one["throughput"] for one in theirs])
+        apart.append(abs(100 * (float(row["throughput"]) / mean - 1)))
+        spent += [one["cpu_s"] for one in theirs if key[1] == 200]
+    assert f"and the C++ {min(spent):.0f} to {max(spent):.0f};" in NOTES
+    assert f"within {max(apart):.1f} % of the C++ at 150 to 250 robots" in NOTES
+
+
+def test_the_page_of_improvements_states_gains_where_shelves_are_alike_and_jams():
+    text, found = page("notebooks/how_to/improve.md"), rows("improve.csv", section="rows")
+    for row, more in zip(found[::2], found[1::2], strict=True):
+        numbers = [float(more[name]) for name in ("percent", "low", "high")]
+        alike = f"+{float(row['by_shelf']):.1f} %" if row["by_shelf"] else "not saved"
+        end = re.escape("| +{:.1f} % ({:.1f} to {:.1f}) | {alike} |".format(*numbers, alike=alike))
+        assert re.search(rf"\| {row['seed']} \| {row['racks_moved']} \| [^|]* {end}", text)
+    gains = [float(row["percent"]) for row in found[::2]]
+    assert f"[{min(gains):.0f} to {max(gains):.0f} % more tasks](" in FRONT
+    flow = [float(row["success_rate"]) for row in rows("improve_pbs.csv", runs="6")]
+    words = [WORDS[round(6 * (1 - share))] for share in flow]
+    assert words[:2] == ["no", "no"] and "in the hall of 30 x 40, where nothing jams" in text
+    assert f"where {words[3]} run of six jams instead of {words[2]}" in text
+    assert f"where {words[5]} run jams instead of {words[4]}" in text
+
+
+def test_the_agents_page_states_its_training():
+    folder = "qdenv/simulation/maze"
+    text, curve = page(f"{folder}/README.md"), (ROOT / folder / "curve.jsonl").read_text()
+    *_, last = log = [json.loads(line) for line in curve.splitlines()]
+    made = [row for row in log if row["update"] % 120 == 0 or row is last]
+    cells = "| {:.1f} | {cpu_seconds:.0f} | {success_longest:.2f} | {exam_60:.2f} | {exam_90:.2f} |"
+    cells = " ".join(cells.format(row["steps"] / 1e6, **row) for row in made)
+    assert f"exam 90 | | --- | --- | --- | --- | --- | {cells} Means" in text
+    assert f"took {last['steps'] / 1e6:.1f} million steps, {last['cpu_seconds']:.0f} CPU" in text
+    assert f"are the first {last['steps'] / 60e4:.0f} %" in text  # of 60 million
+    assert f"updates {log[-8]['update']} to {last['update']}" in text
+
+
+def test_the_zoo_says_of_its_generators_what_their_rules_say():
+    for domain, rules in RULES.items():
+        made = named(domain).collection.generators
+        assert [(one.name, one.about) for one in made] == [rule[:2] for rule in rules]
+    even, uneven = (RULES[domain][0].tried for domain in FLEETS[:2])
+    assert f"among {even} elites ({uneven} of `warehouse-uneven`" in PAGE
+    made = {one.name: one.sizes[0].driven[0] for one in named("maze-walls").collection.generators}
+    shares = {name: round(one.success * one.runs) for name, one in made.items()}
+    hard = f"`hard` in {shares.pop('hard')} of 100 runs, of each other one in at least "
+    assert f"{hard}{min(shares.values())} (`qdenv zoo" in page("notebooks/06_mazes.ipynb")
+
+
+def test_the_page_states_the_searches_behind_both_zoos():
+    for domain in FLEETS:
+        made = named(domain).collection
+        assert f"by {made.origin.evaluations:,} evaluations from the first zoo's best" in PAGE
+        assert f"and {made.origin.further // len(made.generators)} around each of its" in PAGE
+    for domain, runs in ("warehouse-even", ("E1", "E2")), ("warehouse-uneven", ("U1", "U6")):
+        origin = json.loads((RESULTS / "zoo" / f"{domain}.json").read_text())["origin"]
+        stated = "'s from {evaluations:,}( evaluations)? of seed {seed} and {further:,} more"
+        assert re.search(f"`{domain}`{stated.format(**origin)}", PAGE)
+        own = re.findall(r"\| ([EU]\d)[^|]*\|[^|]*\|[^|]*\| (\d+) \|", PAGE)
+        assert sum(int(n) for run, n in own if runs[0] <= run <= runs[1]) == origin["further"]
+    elites = rows("runs/warehouse-uneven/elites.csv")
+    had = {row["cell"]: f"{float(row['objective']):.3f}" for row in elites}
+    starts = re.findall(r"\| U\d[^|]*\| (\d+),(\d+) of it \| ([\d.]+) \|", PAGE)
+    assert len(starts) == 2 and all(had[row + column] == value for row, column, value in starts)
+    for run in ("runs/warehouse-uneven", "zoo/warehouse-even-nca"):
+        last = rows(f"{run}/metrics.csv")[-1]
+        best = float(last["best_objective"])
+        assert f"| zeros | | {int(last['evaluations']):,} | | {best:.3f} |" in PAGE
+
+
+def test_the_notes_state_entropies_memory_and_what_another_repair_costs():
+    (dsage,) = rows("algorithms.csv", algorithm="dsage")
+    assert f"elites is {float(dsage['lowest_entropy']):.2f}, mean of the five seeds" in NOTES
+    run = RunDirectory.open(RESULTS / "zoo" / "maze-walls-nca")
+    cells = math.prod(axis.cells for axis in run.archive.schema.measures)
+    weights = run.archive.columns["solution"].shape[1]
+    filled = f"If all {cells:,} cells of `maze-walls` were filled, with {weights:,} float32"
+    assert f"{filled} parameters each, they would take {4 * cells * weights / 1e9:.1f} GB" in NOTES
+    assert f"or {math.ceil(refresh_gap(weights, run.config.algorithm.batch)):,} (3, 3, 3)" in NOTES
+    less = []
+    for domain in FLEETS:
+        both = [rows("polish.csv", domain=domain, polish=one) for one in ("quick", "full")]
+        quick, full = (np.mean([float(row["throughput"]) for row in own]) for own in both)
+        less.append(100 * (1 - full / quick))
+    assert f"moved {min(less):.1f} to {max(less):.1f} % less on average" in NOTES
