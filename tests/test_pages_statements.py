@@ -74,8 +74,8 @@ def test_the_page_states_where_the_layout_designed_by_hand_moves_more():
     hand, ours = (PEAKS["manufacturing", (33, 36), maker] for maker in ("human", "nca"))
     theirs, own = hand.read(Folders()), ours.read(Folders())
     peaks = [f"{one.mean_of_all:.2f} with {one.agents}" for one in (theirs, own)]
-    less = difference(own.sample_of_all, theirs.sample_of_all)  # in per cent of the hand-made
-    percent = f"{-less.percent:.0f} % ({-less.high:.0f} to {-less.low:.0f})"
+    more = difference(theirs.sample_of_all, own.sample_of_all)
+    percent = f"{more.percent:.0f} % ({more.low:.0f} to {more.high:.0f})"
     assert "{} robots against {}, {}".format(*peaks, percent) in PAGE
     second = sorted(ours.outcomes(Folders()), key=lambda one: one.mean_of_all)[-2]
     assert not difference(second.sample_of_all, own.sample_of_all).significant
