@@ -9,6 +9,7 @@ import pytest
 from small_warehouse import ROWS
 
 import qdenv
+from qdenv.cli.main import run
 from qdenv.generators import Base
 from qdenv.guidance import NUM_SMOOTH
 from qdenv.ops.guidance import FILE, PICTURE
@@ -152,3 +153,10 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
     with pytest.raises(InputError):
         qdenv.guide(maze, path=tmp_path / "out", **FLEET)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_help_names_the_planner_that_is_used(capsys):
+    for words, planner in (([], "pibt"), (["--effort", "low"], "negotiated")):
+        with pytest.raises(SystemExit):
+            run(["guide", *words, "--help"])
+        assert f"(default: {planner})" in capsys.readouterr().out

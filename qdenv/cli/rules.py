@@ -77,9 +77,10 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             kinds = get_type_hints(kind, include_extras=True)
             own = inherited | helps[kind]
             return _options((name, one, own[name]) for name, one in kinds.items())
-        if kind is args.PlannerOptions:
+        if isinstance(kind, type) and issubclass(kind, args.PlannerOptions):
+            usual = "" if chosen.effort else kind.usual
             # The settings of several are those of the first, and are refused.
-            settings = find_planner(chosen.effort, (chosen.planner or "").partition(",")[0])
+            settings = find_planner(chosen.effort, (chosen.planner or usual).partition(",")[0])
             _check_planner_options(rest, settings)
             planner = (
                 "planner",
@@ -89,7 +90,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             spec = _options([planner, *_settings(settings, _PLANNER)])
             # A name and what is stated, as `Fleet` takes them.
             return dataclasses.replace(
-                spec, instantiate=lambda planner=None, **stated: (planner, stated)
+                spec, instantiate=lambda planner=usual, **stated: (planner, stated)
             )
         if kind is args.TaskOptions:
             known = chosen.domain in (None, *DOMAINS.names())  # the command refuses what is not

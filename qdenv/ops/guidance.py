@@ -19,7 +19,6 @@ from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study import table as studies
 from qdenv.study.plans import Plan
@@ -70,8 +69,8 @@ def guide(
     minutes, base, method = (given.pop(one, None) for one in ("minutes", "guidance", "method"))
     names = "evaluations", "simulations", "seed"
     numbers = {name: given.pop(name) for name in names if name in given}
-    if given.get("planner") in (None, (None, {})) and given.get("effort") is None:
-        given["planner"] = PibtConfig()  # a third of the time of the usual planner
+    if given.get("planner") is None and given.get("effort") is None:
+        given["planner"] = args.PibtOptions.usual
     options = args.Fleet(given)
     plan = options.with_tasks(args.read_plan(layout, options.domain))
     named = isinstance(base, str) and base in get_args(Base)
