@@ -49,7 +49,7 @@ def compiled(
 ) -> Function:
     """Compile `function`, with a disk cache where there is a writable place for one.
 
-    `inner_options` are names of those settings of numba that are not the default here.
+    `inner_options` names settings of numba to switch on; off, where they begin with `_`.
     """
     folder = _cache_folder(function.__module__)
     # numba reads its setting when a function is declared. A changed environment would reach other
@@ -65,12 +65,12 @@ def compiled(
     known = getattr(getattr(made, "targetdescr", None), "options", None)
     for name in inner_options:
         if hasattr(known, name):
-            made.targetoptions[name] = name != "_nrt"
+            made.targetoptions[name] = not name.startswith("_")
     # Inner attributes of numba: without them, a full or damaged cache is an error again, and code
     # is found only by the very files that it was compiled from.
     if folder is not None and hasattr(made, "_cache"):
-        name = f"{function.__module__}.{function.__qualname__}-{function.__code__.co_firstlineno}"
-        name += f"-{len(inner_options)}"
+        place = f"{function.__module__}.{function.__qualname__}-{function.__code__.co_firstlineno}"
+        name = "-".join((place, *inner_options))  # other options make other code
         made._cache._cache_file = IndexDataCacheFile(str(folder), name, source_stamp=None)
         made._cache = _Forgiving(made._cache, folder)
     return made

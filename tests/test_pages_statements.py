@@ -4,11 +4,11 @@ import csv
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import STUDY_DATA
+from test_experiments_statements import NOTES, PAGE, RESULTS, page
 
 from experiments.figure_18 import PEAKS
 from experiments.pieces import Folders
@@ -19,23 +19,14 @@ from qdenv.search.strategies.cma_es import refresh_gap
 from qdenv.shipped import named
 from qdenv.stats import difference
 
-ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "experiments" / "results"
 WORDS = ("no", "one", "two", "three", "four", "five")
-
-
-def page(path: str) -> str:
-    return " ".join((ROOT / path).read_text().split())
+FRONT = page("README.md")
 
 
 def rows(path: str, **wanted: str) -> list[dict[str, str]]:
     with (RESULTS / path).open() as lines:
         found = list(csv.DictReader(lines))
     return [row for row in found if all(row[name] == value for name, value in wanted.items())]
-
-
-FRONT, PAGE = page("README.md"), page("experiments/README.md")
-NOTES = page("notebooks/reference/notes.md")
 
 
 def flows(maker: str, domain: str, planner: str) -> list[bool]:
@@ -159,7 +150,10 @@ def test_the_page_of_improvements_states_gains_where_shelves_are_alike_and_jams(
 
 def test_the_agents_page_states_its_training():
     folder = "qdenv/simulation/maze"
-    text, curve = page(f"{folder}/README.md"), (ROOT / folder / "curve.jsonl").read_text()
+    text, curve = (
+        page(f"{folder}/README.md"),
+        (RESULTS.parents[1] / folder / "curve.jsonl").read_text(),
+    )
     *_, last = log = [json.loads(line) for line in curve.splitlines()]
     made = [row for row in log if row["update"] % 120 == 0 or row is last]
     cells = "| {:.1f} | {cpu_seconds:.0f} | {success_longest:.2f} | {exam_60:.2f} | {exam_90:.2f} |"

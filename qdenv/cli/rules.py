@@ -77,7 +77,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             kinds = get_type_hints(kind, include_extras=True)
             own = inherited | helps[kind]
             return _options((name, one, own[name]) for name, one in kinds.items())
-        if isinstance(kind, type) and issubclass(kind, args.PlannerOptions):
+        if kind in (args.PlannerOptions, args.PibtOptions):
             usual = "" if chosen.effort else kind.usual
             # The settings of several are those of the first, and are refused.
             settings = find_planner(chosen.effort, (chosen.planner or usual).partition(",")[0])
