@@ -71,10 +71,11 @@ class SavedRun(Piece):
     def config(self) -> RunConfig:
         """What is run."""
         base = qdenv.find_preset(self.preset)
-        # Further seeds are compared to the recorded runs, which had these settings.
-        if hasattr(base.evaluation.generator, "arithmetic"):
+        # Further seeds are compared to the recorded runs, those of fleets with these settings.
+        domain, generator = base.evaluation.domain, base.evaluation.generator
+        if domain.fleet and hasattr(generator, "arithmetic"):
             base = override(base, {"arithmetic": "float"})
-        if hasattr(base.evaluation.domain, "goal_odds"):
+        if hasattr(domain, "goal_odds"):
             base = override(base, {"goal_odds": "stations"})
         base = override(base, dict(self.settings))
         return replace(base, seed=self.seed, evaluations=self.evaluations or base.evaluations)

@@ -84,8 +84,8 @@ class TrainConfig(Ranged):
     steps: Annotated[int, Interval(ge=1, lt=2**63)] = 80_000_000
     seed: Seed = 0  # random seed of everything
     units: PositiveInt = 64  # LSTM units of the agent
-    # 3 (turn left, turn right, forward) or 7 (the published set, 4 do nothing)
-    actions: Annotated[int, Interval(ge=3, le=MOST)] = 3
+    # 4 (turn left, turn right, forward, stay), 3 (no stay) or 7 (the published set: 4 do nothing)
+    actions: Annotated[int, Interval(ge=3, le=MOST)] = 4
     warm_start: str = ""  # an .npz agent to start from; "" for fresh weights
     # weight of the divergence from the policy of the warm start, so that the agent keeps what it
     # knows; 0 for none
