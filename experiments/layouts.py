@@ -28,7 +28,7 @@ from qdenv.types import Array, InputError
 
 S, S_EVAL = (33, 36), (101, 102)
 MAZE_S, MAZE_S_EVAL = (18, 18), (66, 66)
-# Generators of the first zoo, whose automata are of floats: those that figures simulated.
+# Fleets' generators of the first zoo, whose automata are of floats: those that figures simulated.
 FIRST_ZOO = Path(__file__).parent / "results" / "zoo"
 # Makers of layouts: its best at S_eval, the one that moves most at S where that is another, and the
 # best of the zoo that ships.
@@ -38,9 +38,9 @@ SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
 
 def open_generator(domain: str, maker: str) -> RunDirectory:
-    """Open the run whose best elite draws for one of `GROWERS`."""
+    """Open the run whose best elite draws for one of `GROWERS`; mazes are of the zoo that ships."""
     first = FIRST_ZOO / f"{domain}-{maker}"
-    return RunDirectory.open(f"{PREFIX}{domain}/{USUAL}" if maker == "zoo" else first)
+    return RunDirectory.open(first if first.exists() else f"{PREFIX}{domain}/{USUAL}")
 
 
 class Made(NamedTuple):

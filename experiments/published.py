@@ -60,7 +60,8 @@ class Moved(NamedTuple):
         return f"{self.throughput:.2f}" + (f" ({rate})" if rate else "")
 
 
-# Tables 2 and 5 and section E.4 by domain, maker (see `layouts.SavedLayout`) and agents.
+# Tables 2 and 5 and section E.4 by domain, maker (see `layouts.SavedLayout`) and agents; alpha 0
+# and 1 with 1,000 agents are of the authors' repository (its README, "Results").
 TRAFFIC = {
     ("warehouse-even", "a0", 200): Moved(6.79),
     ("warehouse-even", "a1", 200): Moved(6.73),
@@ -82,6 +83,8 @@ TRAFFIC = {
     ("warehouse-even", "cma-es", 1400): Moved(words="N/A"),
     ("warehouse-even", "tiled", 1400): Moved(success=0.0),
     ("warehouse-uneven", "nca", 1000): Moved(12.03, 0.84),
+    ("warehouse-uneven", "a0", 1000): Moved(12.32),
+    ("warehouse-uneven", "a1", 1000): Moved(11.56),
     ("warehouse-uneven", "cma-es", 1000): Moved(success=0.0),
     ("warehouse-uneven", "tiled", 1000): Moved(success=0.23),
     ("manufacturing", "nca", 1800): Moved(23.11, 1.0),

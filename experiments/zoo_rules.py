@@ -34,8 +34,8 @@ def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]
     regular = f"one of the best regular ones with few {noun}"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),
-        Rule("regular", "one pattern all over: of low entropy", f"-{ENTROPY}"),
-        Rule("varied", "no two corners alike: of high entropy", ENTROPY),
+        Rule("regular", "few different patterns of tiles: of low entropy", f"-{ENTROPY}"),
+        Rule("varied", "many different patterns of tiles: of high entropy", ENTROPY),
         Rule(f"few-{noun}", few, f"-{things}"),
         Rule(f"many-{noun}", many, things),
         Rule("orderly", "one of the best of the most regular tenth", "objective", tenth),
@@ -60,7 +60,9 @@ def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple
         Rule(USUAL, best, "shortest", (SURE,), tried=8),
         Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
         Rule("winding", "a goal that is near and found late", ACTIONS, near),
-        Rule("wandering", "many actions of the agent, which arrives", ACTIONS, (SURE,)),
+        Rule(
+            "wandering", "many actions of the agent, which arrives (at 18 x 18)", ACTIONS, (SURE,)
+        ),
         Rule(more, f"{much[0]} that leave a long way", thing, far),
         Rule(less, f"{much[1]} that leave a long way", f"-{thing}", far),
         Rule(f"{more}-long", f"a long way with {much[0]}", "shortest", dense),

@@ -10,8 +10,8 @@ A neural cellular automaton draws a floor plan, a repair (simulated annealing, t
 program where `polish` is full) changes little until every rule holds, a fleet of robots is
 simulated in it, and CMA-MAE keeps an archive of different good automata. `domains` says what
 differs between warehouse, manufacturing and maze; `pipeline` is the chain on one screen; `train`
-is the loop with its run directory, and `study` evaluates saved layouts and runs. Every command is
-a function of the same name (`qdenv layout human`: `qdenv.layout_human`).
+is the loop with its run directory, and `study` evaluates saved layouts and runs. Every command
+but `completion` is a function of the same name (`qdenv layout human`: `qdenv.layout_human`).
 
     >>> import qdenv
     >>> run = qdenv.train("quick", "runs/first")

@@ -48,7 +48,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
 
     Args:
         config: domain, generator, repair, and how often each layout is simulated.
-        repair_seed: other numbers give other, equally good repairs.
+        repair_seed: other numbers give other repairs of about equal cost.
 
     Raises:
         InputError: the canvas is too small, or the repair rules contradict each other.

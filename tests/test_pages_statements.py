@@ -181,26 +181,25 @@ def test_the_page_states_the_searches_behind_both_zoos():
         made = named(domain).collection
         assert f"by {made.origin.evaluations:,} evaluations from the first zoo's best" in PAGE
         assert f"and {made.origin.further // len(made.generators)} around each of its" in PAGE
-    for domain, runs in ("warehouse-even", ("E1", "E2")), ("warehouse-uneven", ("U1", "U6")):
+    for domain in FLEETS[:2]:
         origin = json.loads((RESULTS / "zoo" / f"{domain}.json").read_text())["origin"]
         stated = "'s from {evaluations:,}( evaluations)? of seed {seed} and {further:,} more"
         assert re.search(f"`{domain}`{stated.format(**origin)}", PAGE)
-        own = re.findall(r"\| ([EU]\d)[^|]*\|[^|]*\|[^|]*\| (\d+) \|", PAGE)
-        assert sum(int(n) for run, n in own if runs[0] <= run <= runs[1]) == origin["further"]
-    elites = rows("runs/warehouse-uneven/elites.csv")
-    had = {row["cell"]: f"{float(row['objective']):.3f}" for row in elites}
-    starts = re.findall(r"\| U\d[^|]*\| (\d+),(\d+) of it \| ([\d.]+) \|", PAGE)
-    assert len(starts) == 2 and all(had[row + column] == value for row, column, value in starts)
-    for run in ("runs/warehouse-uneven", "zoo/warehouse-even-nca"):
-        last = rows(f"{run}/metrics.csv")[-1]
-        best = float(last["best_objective"])
-        assert f"| zeros | | {int(last['evaluations']):,} | | {best:.3f} |" in PAGE
+    found = [
+        RunDirectory.open(RESULTS / "zoo" / f"{domain}-nca-s").best.objective
+        for domain in FLEETS[:2]
+    ]
+    assert f"theirs moves {found[1]:.3f} tasks per timestep in `warehouse-uneven`" in PAGE
+    last = rows("zoo/warehouse-even-nca/metrics.csv")[-1]
+    evaluations, best = int(last["evaluations"]), float(last["best_objective"])
+    even = f"in `warehouse-even` {found[0]:.3f}, where that search, of {evaluations:,} evaluations,"
+    assert f"{even} had found {best:.3f}" in PAGE
 
 
 def test_the_notes_state_entropies_memory_and_what_another_repair_costs():
     (dsage,) = rows("algorithms.csv", algorithm="dsage")
     assert f"elites is {float(dsage['lowest_entropy']):.2f}, mean of the five seeds" in NOTES
-    run = RunDirectory.open(RESULTS / "zoo" / "maze-walls-nca")
+    run = RunDirectory.open(RESULTS / "runs" / "maze-walls")
     cells = math.prod(axis.cells for axis in run.archive.schema.measures)
     weights = run.archive.columns["solution"].shape[1]
     filled = f"If all {cells:,} cells of `maze-walls` were filled, with {weights:,} float32"

@@ -157,7 +157,7 @@ def repair(
         domain: domain whose rules hold; by default what the file states, or its tiles suggest.
         keep: what must stay: tiles (w), a rectangle of rows and columns, the last ones not included
             (0:7,33:40), or a drawing where ? may change and ! or a tile stays; + joins several.
-        seed: other seeds may give other, equally good layouts.
+        seed: other seeds may give other layouts of about equal cost.
         polish: how hard to try after the first feasible layout.
         out: layout file to write (.json, .txt, .csv); by default LAYOUT_repaired.json.
         plot: picture to write, of what changed.
@@ -288,7 +288,7 @@ def layout_tile(
         rows: rows of the larger layout, frame included.
         cols: columns of the larger layout, frame included.
         domain: domain of the layouts; by default what the file states, or its tiles suggest.
-        seed: other seeds give other, equally good repairs.
+        seed: other seeds give other repairs of about equal cost.
         polish: how hard to repair.
         out: layout file to write (.json, .txt, .csv), with a picture beside it; by default
             LAYOUT_tiled.json.

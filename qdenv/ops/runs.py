@@ -107,7 +107,7 @@ class GrowthOptions(Ranged):
     measures: tuple[float, ...] = ()
     # steps of growth; by default the number known for the size, or else scaled with it
     steps: PositiveInt | None = None
-    # other seeds give other, equally good repairs; by default the run's own
+    # other seeds give other repairs of about equal cost; by default the run's own
     seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
     # how hard to repair: full lets HiGHS improve the annealed layout, and prove it optimal if it
     # can; by default the search's for a layout that it simulated, and full for any other
@@ -225,7 +225,7 @@ def series(
         sizes: rows and columns of each layout, like 33x36 57x58; by default seven sizes from
             33x36 to 101x102.
         steps: steps of growth for each size; by default those known for it, or else scaled.
-        seed: other seeds give other, equally good repairs; by default the run's own.
+        seed: other seeds give other repairs of about equal cost; by default the run's own.
         human: also draw what people design at each size.
         out: folder for the layouts, their pictures and series.csv; by default series.
         **numbers: exact numbers of tiles for each size; by default those known for it, or else

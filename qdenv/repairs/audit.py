@@ -5,9 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.grid import count_neighbours, of_tiles, shift
+from qdenv.grid import of_tiles, shift
 from qdenv.lazy import ndimage
 from qdenv.types import Rules
+
+
+_BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]])
 
 
 class Violation(NamedTuple):
@@ -54,7 +57,8 @@ def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
         message = f"{count} {rules.name(tiles, count != 1)} where the rules demand {demand}"
         found.append(Violation(message, np.argwhere(holds if count else ~holds)))
     for tiles, needs in rules.adjacency:
-        near = count_neighbours(of_tiles(layout, needs, rules.tiles)) > 0
+        there = np.asarray(of_tiles(layout, needs, rules.tiles), np.int8)
+        near = ndimage.correlate(there, _BESIDE, mode="constant") > 0
         alone = np.asarray(of_tiles(layout, tiles, rules.tiles) & ~near)
         found += _violations(f"{rules.name(tiles)} without {rules.name(needs)} beside it", alone)
     driving = of_tiles(layout, rules.connected, rules.tiles)
