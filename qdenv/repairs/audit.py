@@ -9,7 +9,6 @@ from qdenv.grid import of_tiles, shift
 from qdenv.lazy import ndimage
 from qdenv.types import Rules
 
-
 _BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]])
 
 
