@@ -28,9 +28,7 @@ class Rule(NamedTuple):
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
     """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
-    best = (
-        "moved most of those tried for it at the largest size, and flowed there under both planners"
-    )
+    best = "of those tried that flow at the largest size under both planners, moved most"
     regular = f"one of the best regular ones with few {noun}"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),

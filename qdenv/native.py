@@ -106,11 +106,11 @@ def kernel(function: Function, forceinline: bool = False) -> Function:
     """Compile a function that borrows its arrays: it makes none, keeps none and returns none.
 
     numba counts references, atomically, whenever an array is taken out of a record or a record is
-    handed on: more than half of the time of a small step. Here the caller holds all arrays until
+    handed on, which takes a large part of a small step. Here the caller holds all arrays until
     the call ends, so nothing needs counting. A function that does make an array in spite of its
     promise is refused when it is compiled.
 
-    A quarter of the machine code of a kernel would take the records of Python apart. Only kernels
+    Much of the machine code of a kernel would take the records of Python apart. Only kernels
     call most kernels: that code is left out, and compiled for those that Python calls.
     """
     options = "_nrt", "no_cfunc_wrapper"
@@ -132,7 +132,7 @@ inlined = functools.partial(kernel, forceinline=True)
 def formula(function: Function) -> Function:
     """Write a short function out in each kernel that calls it, before that is compiled.
 
-    It is never compiled by itself, which halves the time that the kernels take to compile.
+    It is never compiled by itself, which would take about as long again.
     """
     made: Function = numba.njit(inline="always", nogil=True)(function)
     return made

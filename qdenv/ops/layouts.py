@@ -150,7 +150,7 @@ def repair(
     plot: Annotated[args.Picture, arg(aliases=("--diff",))] = None,
     **numbers: args.Number,
 ) -> Layout:
-    """Repair a layout: the closest one that obeys every rule of its domain.
+    """Change a layout little, until it obeys every rule of its domain.
 
     Args:
         layout: layout file.

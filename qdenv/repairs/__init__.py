@@ -1,1 +1,1 @@
-"""The repair: the closest layout that obeys every rule."""
+"""The repair: a layout close to the given one that obeys every rule."""

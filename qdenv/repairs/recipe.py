@@ -35,7 +35,7 @@ def repair_layout(
     """Find the cheapest layout near `layout` (int8 [H, W]) that obeys `rules`.
 
     The seed, any integer, is mixed with the layout's content: the same gives the same layout,
-    another may give another one of equal cost. Returns numpy values; where the status is
+    another may give another one of about equal cost. Returns numpy values; where the status is
     `IMPOSSIBLE` or `FAILED`, the layout is the input, at infinite cost.
     """
     begin = time.thread_time()

@@ -148,7 +148,7 @@ class CmaEsConfig(Ranged):
 
     The default strategy, `iso`, is what CMA-ES is at the size of a layout's generator, at linear
     cost: by pyribs' rule (`refresh_gap`) the covariance matrix is first decomposed after the
-    paper's budget of evaluations.
+    paper's budget of evaluations (of fleets, with kernels (3, 3, 3)).
     """
 
     emitters: PositiveInt = 1  # independent evolution strategies

@@ -15,7 +15,8 @@ class Isotropic(base.Strategy):
     """Sample N(mean, std^2 I) and adapt std by its path, O(b P) per iteration.
 
     Exactly what pyribs' CMA-ES does until its first eigendecomposition, which comes after
-    `refresh_gap` evaluations of an emitter; at the paper's sizes that is the whole run.
+    `refresh_gap` evaluations of an emitter; for fleets with kernels (3, 3, 3) that is the paper's
+    whole run.
     """
 
     def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:

@@ -202,7 +202,7 @@ def _drive_on(
 ) -> None:
     """Visit a driving state: queue what one step leads to, if it costs no more than `dearest`.
 
-    Half of a run's time is spent here: what the loop counts stays in registers, for the compiler
+    Much of a run's time is spent here: what the loop counts stays in registers, for the compiler
     must expect any array to overlap any other.
     """
     cell, place, t, leg, conflicts = unpack(state)
