@@ -65,7 +65,7 @@ def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple
         Rule(less, f"{much[1]} that leave a long way", f"-{thing}", far),
         Rule(f"{more}-long", f"a long way with {much[0]}", "shortest", dense),
         Rule(f"{less}-long", f"a long way with {much[1]}", "shortest", sparse),
-        Rule("hard", "a long way that the agent often misses", "-success", missed),
+        Rule("hard", "a long way that the agent sometimes misses", "-success", missed),
     )
 
 
