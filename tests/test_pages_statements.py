@@ -80,8 +80,8 @@ def test_the_page_sets_scores_beside_the_published_ones():
         score = float(last["qd_score"])
         ours = f"QD-score {score:,.0f} and coverage {float(last['coverage']):.3f} against "
         theirs = f"{paper.qd_score:,.0f} ± {paper.qd_error:,.0f} and {paper.coverage:.2f}"
-        above = f", {100 * (score / paper.qd_score - 1):.0f} % above the published mean ("
-        assert ours + theirs + above * run.startswith("maze") in PAGE
+        below = f", {100 * (1 - score / paper.qd_score):.0f} % below the published mean ("
+        assert ours + theirs + below * run.startswith("maze") in PAGE
 
 
 def test_the_notes_state_when_the_hand_made_warehouse_jams():
