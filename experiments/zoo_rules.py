@@ -59,7 +59,10 @@ def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple
         Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
         Rule("winding", "a goal that is near and found late", ACTIONS, near),
         Rule(
-            "wandering", "many actions of the agent, which mostly arrives (at 18 x 18)", ACTIONS, (SURE,)
+            "wandering",
+            "many actions of the agent, which mostly arrives (at 18 x 18)",
+            ACTIONS,
+            (SURE,),
         ),
         Rule(more, f"{much[0]} that leave a long way", thing, far),
         Rule(less, f"{much[1]} that leave a long way", f"-{thing}", far),

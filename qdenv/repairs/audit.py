@@ -9,8 +9,6 @@ from qdenv.grid import of_tiles, shift
 from qdenv.lazy import ndimage
 from qdenv.types import Rules
 
-_BESIDE = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]])
-
 
 class Violation(NamedTuple):
     """One broken rule."""
@@ -57,7 +55,7 @@ def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
         found.append(Violation(message, np.argwhere(holds if count else ~holds)))
     for tiles, needs in rules.adjacency:
         there = np.asarray(of_tiles(layout, needs, rules.tiles), np.int8)
-        near = ndimage.correlate(there, _BESIDE, mode="constant") > 0
+        near = ndimage.correlate(there, [[0, 1, 0], [1, 0, 1], [0, 1, 0]], mode="constant") > 0
         alone = np.asarray(of_tiles(layout, tiles, rules.tiles) & ~near)
         found += _violations(f"{rules.name(tiles)} without {rules.name(needs)} beside it", alone)
     driving = of_tiles(layout, rules.connected, rules.tiles)

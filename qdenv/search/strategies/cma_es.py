@@ -14,9 +14,8 @@ from qdenv.types import InputError
 class Isotropic(base.Strategy):
     """Sample N(mean, std^2 I) and adapt std by its path, O(b P) per iteration.
 
-    Exactly what pyribs' CMA-ES does until its first eigendecomposition, which comes after
-    `refresh_gap` evaluations of an emitter; for fleets with kernels (3, 3, 3) that is the paper's
-    whole run.
+    Exactly what pyribs' CMA-ES does until its first eigendecomposition, after `refresh_gap`
+    evaluations of an emitter: beyond the paper's budgets for fleets and kernels (3, 3, 3).
     """
 
     def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:

@@ -107,8 +107,7 @@ def roll_out(
 ) -> None:
     """Find where PIBT drives all agents, as `planner.rollout` does; or let all stand still.
 
-    `swaps` is None where agents change no places: numba then leaves that out, which
-    is much of what a first run compiles.
+    `swaps` is None where agents change no places: numba leaves that out then.
     """
     ties = chance.mix(seed, chance.RESORT)
     rank = chance.mix(ties, RANKS)
