@@ -16,8 +16,7 @@ HEAD = [
 ]
 NOTE = (
     "Fleets under low effort of our planner. DSAGE: a small surrogate, 5 epochs and 500 inner "
-    "iterations (paper: 10,000). maze-walls, map-elites: an earlier agent. No ratio where the "
-    "paper has more evaluations."
+    "iterations (paper: 10,000). No ratio where the paper has more evaluations."
 )
 FORMS = {"qd_score": ",.0f", "coverage": ".3f", "best_objective": ".3f"}
 
