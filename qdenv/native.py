@@ -132,7 +132,7 @@ inlined = functools.partial(kernel, forceinline=True)
 def formula(function: Function) -> Function:
     """Write a short function out in each kernel that calls it, before that is compiled.
 
-    It is never compiled by itself, which would take about as long again.
+    It is never compiled by itself, which saves much of the time of compiling the kernels.
     """
     made: Function = numba.njit(inline="always", nogil=True)(function)
     return made
