@@ -1,4 +1,4 @@
-"""The paper's figures and tables, each drawn by a script of its name from saved results.
+"""The paper's figures and tables, drawn from saved results.
 
     python -m experiments                      what there is, what is missing, what that costs
     python -m experiments figure_16            draw it from what is saved

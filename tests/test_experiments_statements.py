@@ -2,7 +2,6 @@
 
 import csv
 import json
-import math
 import re
 from pathlib import Path
 
@@ -14,9 +13,8 @@ from experiments.__main__ import find
 from experiments.figure_19 import USAGE
 from experiments.pieces import Folders
 from experiments.polish import LEVELS, Row
-from experiments.published import TRAFFIC
+from experiments.published import TABLE_4, TRAFFIC
 from qdenv.io.records import read_table
-from qdenv.search.strategies.cma_es import refresh_gap
 from qdenv.shipped import named
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
@@ -90,33 +88,21 @@ def test_the_page_states_score_and_best_of_the_archive(run):
     assert f"best moves {best}" in PAGE
 
 
-def test_what_would_double_a_score():
-    even, uneven = numbers("warehouse-even", "objective"), numbers("warehouse-uneven", "objective")
-    for objective, name in ((even, "even"), (uneven, "uneven")):
+def test_what_would_raise_the_scores():
+    for name in ("even", "uneven"):
+        objective = numbers(f"warehouse-{name}", "objective")
         share = f"{100 * objective.mean() / objective.max():.0f} % (`warehouse-{name}`)"
-        assert share in PAGE.replace("moves ", "")
-    cells = {row["cell"] for run in WAREHOUSES for row in rows(run, "elites.csv")}
-    assert f"runs of warehouses reached are {len(cells):,} of 10,000" in PAGE
-    reach = len(cells) * even.mean()
-    assert f"would be {round(reach, -2):,.0f}, a third more" in PAGE
-    assert 1.28 < reach / even.sum() < 1.38
+        assert share in PAGE
     stations = numbers("manufacturing", "workstations")
     objective, success = numbers("manufacturing", "objective"), numbers("manufacturing", "success")
     some, many = (stations >= 60) & (stations < 300), stations > 350
-    assert f"{some.sum()} elites with 60 to 300 workstations hold" in PAGE
+    assert f"{some.sum()} elites with 60 to 299 workstations hold" in PAGE
     assert f"hold {objective[some].sum():,.0f} of the {objective.sum():,.0f}" in PAGE
-    assert f"{many.sum()} with more than 350 hold {objective[many].sum():.0f}, because" in PAGE
-    jams = f"{(success[many] == 0).mean() * 100:.0f} % of them jam in all five runs"
+    assert f"{many.sum()} with more than 350 hold {objective[many].sum():.0f}." in PAGE
+    jams = f"{(success[many] == 0).mean() * 100:.0f} % of these jam in all five runs"
     assert f"{jams} ({(success[many] < 1).mean() * 100:.0f} % in one of five at least)" in PAGE
     share = 100 * objective.mean() / objective.max()
-    assert PAGE.count(f"mean elite moves {share:.0f} % of what the best one moves") == 1
-    better = objective.sum() + (objective[some].mean() - objective[many].mean()) * many.sum()
-    assert f"the score would be {better / objective.sum():.1f} times as high" in PAGE
-    rises = [
-        numbers(run, "objective").sum() / score_after(run, 5000)
-        for run in ("warehouse-even", "warehouse-uneven", "manufacturing")
-    ]
-    assert f"rose by {100 * min(rises) - 100:.0f} to {100 * max(rises) - 100:.0f} %" in PAGE
+    assert f"mean elite moves {share:.0f} % of what the best one moves:" in PAGE
 
 
 def test_scores_half_way_and_early():
@@ -126,14 +112,12 @@ def test_scores_half_way_and_early():
     with (RESULTS / "zoo" / "warehouse-even-nca" / "metrics.csv").open() as lines:
         seed_1 = {row["evaluations"]: float(row["qd_score"]) for row in csv.DictReader(lines)}
     assert f"had {seed_1['1000']:,.0f} after 1,000 and {seed_1['1400']:,.0f} after 1,400" in PAGE
-    assert f"has {score_after('warehouse-even', 300):,.0f} after 300 evaluations" in PAGE
+    assert f"has {score_after('warehouse-even', 300):,.0f} after 300 evaluations" in NOTES
     scores = numbers("manufacturing", "qd_score", "metrics.csv")
-    above = numbers("manufacturing", "evaluations", "metrics.csv")[scores > 6449.56]
+    above = numbers("manufacturing", "evaluations", "metrics.csv")[
+        scores > TABLE_4["manufacturing", "cma-mae"].qd_score
+    ]
     assert f"above the published mean since {above.min():,.0f} evaluations" in PAGE
-    bests = numbers("warehouse-uneven", "best_objective", "metrics.csv")
-    first = numbers("warehouse-uneven", "evaluations", "metrics.csv")[bests.argmax()]
-    nothing = f"after {first:,.0f} evaluations and nothing better in {10_000 - first:,.0f} more"
-    assert f"from zeros had found {max(bests):.3f} {nothing}" in PAGE
     others = [f"warehouse-even{end}" for end in ("", "-cma-es", "-map-elites", "-dsage")]
     scores = [score_after(run, 1000) for run in others]
     sentence = "of {:,.0f}, CMA-ES {:,.0f}, MAP-Elites (of the preset `warehouse-even-map-elites`, "
@@ -158,23 +142,18 @@ def test_the_archives_over_alpha():
         assert f"| {' | '.join(cells)} |" in PAGE
 
 
-def test_when_a_covariance_is_refreshed():
-    one, each = (math.ceil(refresh_gap(11_011, batch)) for batch in (50, 10))
-    assert f"after {one:,} evaluations with one emitter of batch 50" in PAGE
-    assert f"with emitters of batch 10 after {each:,} evaluations of each" in PAGE
-
-
 def test_what_alpha_costs_and_brings():
     none, one, five = (numbers(f"warehouse-even{end}", "objective") for end in ("-a0", "-a1", ""))
-    assert round(100 * (one.mean() / five.mean() - 1)) == 2
-    assert "From alpha = 1 to 5 the term costs the mean elite 2 % of its throughput" in PAGE
-    assert "With alpha = 1 the mean elite moves 2 % more" in PAGE
+    costs = f"costs the mean elite {100 * (1 - five.mean() / one.mean()):.0f} % of its throughput"
+    assert f"From alpha = 1 to 5 the term {costs}" in PAGE
     assert one.sum() == max(none.sum(), one.sum(), five.sum())
-    published, error = 20366.07, 653.46
-    above = f"{100 * (one.sum() / published - 1):.0f} % above the published mean of alpha = 5"
+    published = TABLE_4["warehouse-even", "cma-mae"]
+    above = (
+        f"{100 * (one.sum() / published.qd_score - 1):.0f} % above the published mean of alpha = 5"
+    )
     assert f"Alpha = 1 has the highest QD-score, {above}" in PAGE
     # The error is the mean's of five runs.
-    assert f"spread by {round(error * 5**0.5, -1):,.0f}, so" in PAGE
+    assert f"spread by {round(published.qd_error * 5**0.5, -1):,.0f}, so" in PAGE
 
 
 def test_the_planners_effort_over_the_elites_that_were_compared():
@@ -195,7 +174,9 @@ def test_the_planners_effort_over_the_elites_that_were_compared():
     gain = 100 * (high[calm].sum() / low[calm].sum() - 1)
     assert f"these move {gain:.1f} % more under high effort" in PAGE
     ratios = [paper[group].sum() / low[group].sum() for group in (flowing | True, flowing)]
-    assert [round(100 * (1 - ratio), 1) for ratio in ratios] == [1.0, 0.1]
+    less = [f"{100 * (1 - ratio):.1g} % less" for ratio in ratios]
+    assert f"the paper's planner moves {less[0]}; over the 35 that do not jam" in PAGE
+    assert flowing.sum() == 35 and f"under low effort, {less[1]}." in PAGE
     assert f"{100 * (paper[calm].sum() / low[calm].sum() - 1):.1f} % more under the paper's" in PAGE
     order = [row.argsort().argsort() for row in (low, paper)]
     assert f"rank correlation {np.corrcoef(order)[0, 1]:.2f}" in NOTES
@@ -209,11 +190,11 @@ def test_the_page_states_table_4_and_how_its_rows_compare():
             assert paper.split(", 0")[0] in PAGE
     score = {run.name: numbers(run.name, "objective").sum() for run in RUNS.iterdir()}
     even, cma_es = score["warehouse-even"], score["warehouse-even-cma-es"]
-    assert f"has {even / score['warehouse-even-map-elites']:.1f} times its QD-score" in PAGE
     assert f"archive scores {even / cma_es:.1f} times as much" in PAGE
-    for run, theirs in (("maze-walls", 1.8), ("maze-entropy", 1.3)):
+    for run in ("maze-walls", "maze-entropy", "warehouse-even"):
         more = score[run] / score[f"{run}-map-elites"]
-        assert f"CMA-MAE has {more:.1f} times its QD-score (paper {theirs} times)" in PAGE
+        theirs = TABLE_4[run, "cma-mae"].qd_score / TABLE_4[run, "map-elites"].qd_score
+        assert f"CMA-MAE has {more:.1f} times its QD-score (paper {theirs:.1f} times)" in PAGE
     early = score_after("warehouse-even-cma-es", 4000) / cma_es
     assert f"{100 * early:.0f} % of that score were there after 4,000" in PAGE
     lowest = [numbers(run, "environment entropy").min() for run in WAREHOUSES]
@@ -228,11 +209,16 @@ def test_the_page_states_what_fleets_move():
         if "zoo" in maker and "+-" in text:
             assert text.replace("+-", "±") in PAGE
     uneven = moved["warehouse-uneven", "CMA-MAE + NCA, first zoo", "101 x 102", "our"]
-    assert f"**{100 * (1 - float(uneven[:6]) / 12.03):.1f} % below the paper's**" in PAGE
-    small = moved["warehouse-even", "CMA-MAE + NCA, first zoo", "33 x 36", "our"]
-    assert f"paper 6.74, which is {100 * (6.74 / float(small[:5]) - 1):.1f} % more" in PAGE
+    theirs = TRAFFIC["warehouse-uneven", "nca", 1000].throughput
+    assert f"**{100 * (1 - float(uneven[:6]) / theirs):.1f} % below the paper's**" in PAGE
+    small = [
+        float(moved["warehouse-even", "CMA-MAE + NCA, first zoo", "33 x 36", planner][:5])
+        for planner in ("our", "PBS")
+    ]
+    more = [100 * (TRAFFIC["warehouse-even", "nca", 200].throughput / own - 1) for own in small]
+    assert "paper 6.74, which is {:.1f} and {:.1f} % more".format(*more) in PAGE
     ships = moved["warehouse-uneven", "CMA-MAE + NCA, zoo", "101 x 102", "our"]
-    assert f"**{100 * (12.03 / float(ships[:6]) - 1):.1f} % more**" in PAGE
+    assert f"**{100 * (theirs / float(ships[:6]) - 1):.1f} % more**" in PAGE
     driven = [
         json.loads((RESULTS / "zoo" / f"{name}.json").read_text())["generators"][0]["sizes"][-1]
         for name in ("warehouse-even", "warehouse-uneven", "manufacturing")
@@ -243,8 +229,6 @@ def test_the_page_states_what_fleets_move():
     other = most["warehouse-even", "101 x 102", "CMA-ES + NCA"]
     assert f"no more than {float(other[4]):.1f} tasks per timestep" in PAGE
     assert f"and {grown[4]} with {int(grown[5]):,}" in PAGE
-    robots = {row[5] for key, row in most.items() if key[1:] == ("33 x 36", grown[2])}
-    assert robots == {"300", "250"} and "with 300 (`warehouse-even`) and 250 (the others)" in PAGE
     with (RESULTS / "congestion.csv").open() as lines:
         rows_of = {(row["layout"], row["agents"]): row for row in csv.DictReader(lines)}
     paper = rows_of["warehouse_even_nca_a5_eval", "1400"]
@@ -396,7 +380,7 @@ def test_the_page_compares_exact_and_float_automata():
             scale * np.array([float(run[name]) for run in runs if run["arithmetic"] == kind])
             for kind in ("exact", "float")
         )
-        assert f" {exact.mean():.{digits}f} against " in PAGE
+        assert f" {exact.mean():.{digits}f} against {plain.mean():.{digits}f}" in PAGE
         less = exact - plain
         assert f"{less.mean():.{digits}f} ± {margin(sample_of(less)):.{digits}f}" in PAGE
 

@@ -14,9 +14,12 @@ from experiments.figure_18 import PEAKS
 from experiments.pieces import Folders
 from experiments.published import AGENTS, FLEETS, TABLE_4, TRAFFIC
 from experiments.zoo_rules import RULES
+from qdenv.agent.settings import TrainConfig
+from qdenv.agent.train import _exam
 from qdenv.run.directory import RunDirectory
 from qdenv.search.strategies.cma_es import refresh_gap
 from qdenv.shipped import named
+from qdenv.simulation.maze.policy import load_weights
 from qdenv.stats import difference, wilson_interval
 
 WORDS = ("no", "one", "two", "three", "four", "five")
@@ -85,7 +88,7 @@ def test_the_page_sets_scores_beside_the_published_ones():
         score = float(last["qd_score"])
         ours = f"QD-score {score:,.0f} and coverage {float(last['coverage']):.3f} against "
         theirs = f"{paper.qd_score:,.0f} ± {paper.qd_error:,.0f} and {paper.coverage:.2f}"
-        below = f", {100 * (1 - score / paper.qd_score):.0f} % below the published mean ("
+        below = f", {100 * (1 - score / paper.qd_score):.0f} % below the published mean"
         assert ours + theirs + below * run.startswith("maze") in PAGE
 
 
@@ -153,6 +156,7 @@ def test_the_page_of_improvements_states_gains_where_shelves_are_alike_and_jams(
     assert f"where {words[5]} run jams instead of {words[4]}" in text
 
 
+@pytest.mark.slow
 def test_the_agents_page_states_its_training():
     folder = "qdenv/simulation/maze"
     text = page(f"{folder}/README.md")
@@ -161,10 +165,14 @@ def test_the_agents_page_states_its_training():
     made = [row for row in log if row["update"] % 120 == 0 or row is last]
     cells = "| {:.1f} | {cpu_seconds:.0f} | {success_longest:.2f} | {exam_60:.2f} | {exam_90:.2f} |"
     cells = " ".join(cells.format(row["steps"] / 1e6, **row) for row in made)
-    assert f"exam 90 | | --- | --- | --- | --- | --- | {cells} Means" in text
+    assert f"exam 90 | | --- | --- | --- | --- | --- | {cells} ## Measured" in text
     assert f"took {last['steps'] / 1e6:.1f} million steps, {last['cpu_seconds']:.0f} CPU" in text
     assert f"are the first {last['steps'] / 60e4:.0f} %" in text  # of 60 million
-    assert f"updates {log[-8]['update']} to {last['update']}" in text
+    assert f"agent is the last one, of update {last['update']}: in the exam it does better" in text
+    exams = {name: last[name] for name in ("exam_60", "exam_90")}
+    assert sum(exams.values()) > sum(last[f"mean_{name}"] for name in exams)
+    # Another machine's last bits may change a few of the 256 episodes.
+    assert _exam(TrainConfig())(load_weights()) == pytest.approx(exams, abs=0.02)
 
 
 def test_the_zoo_says_of_its_generators_what_their_rules_say():
@@ -188,15 +196,6 @@ def test_the_page_states_the_searches_behind_both_zoos():
         origin = json.loads((RESULTS / "zoo" / f"{domain}.json").read_text())["origin"]
         stated = "'s from {evaluations:,}( evaluations)? of seed {seed} and {further:,} more"
         assert re.search(f"`{domain}`{stated.format(**origin)}", PAGE)
-    found = [
-        RunDirectory.open(RESULTS / "zoo" / f"{domain}-nca-s").best.objective
-        for domain in FLEETS[:2]
-    ]
-    assert f"theirs moves {found[1]:.3f} tasks per timestep in `warehouse-uneven`" in PAGE
-    last = rows("zoo/warehouse-even-nca/metrics.csv")[-1]
-    evaluations, best = int(last["evaluations"]), float(last["best_objective"])
-    even = f"in `warehouse-even` {found[0]:.3f}, where that search, of {evaluations:,} evaluations,"
-    assert f"{even} had found {best:.3f}" in PAGE
 
 
 def test_the_notes_state_entropies_memory_and_what_another_repair_costs():

@@ -241,7 +241,7 @@ def train_agent(
     """Train an agent and keep its log, checkpoint and weights in a folder (host side).
 
     The folder gets config.json, curve.jsonl, checkpoint.npz, in agents/ the agent at every line of
-    the log by its update, and agent.npz, the mean of the last of these, which is returned. Every
+    the log by its update, and agent.npz, which `choose` makes of them and which is returned. Every
     `report_every` updates the log gets a line, with a checkpoint and an exam; the run stops after
     about `cpu_seconds`, ready to be resumed. To `resume`, `config` may have more steps or another
     method, but no other sizes. `progress` is called with the number of updates, and after some of
