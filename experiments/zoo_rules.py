@@ -66,8 +66,8 @@ def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple
         ),
         Rule(more, f"{much[0]} that leave a long way", thing, far),
         Rule(less, f"{much[1]} that leave a long way", f"-{thing}", far),
-        Rule(f"{more}-long", f"a long way with {much[0]}", "shortest", dense),
-        Rule(f"{less}-long", f"a long way with {much[1]}", "shortest", sparse),
+        Rule(f"{more}-long", f"the longest way with {much[0]}", "shortest", dense),
+        Rule(f"{less}-long", f"the longest way with {much[1]}", "shortest", sparse),
         Rule("hard", "a long way that the agent sometimes misses", "-success", missed),
     )
 

@@ -200,7 +200,7 @@ def test_the_page_states_table_4_and_how_its_rows_compare():
     lowest = [numbers(run, "environment entropy").min() for run in WAREHOUSES]
     assert min(lowest) > 0.35 and lowest[WAREHOUSES.index("warehouse-even-dsage")] > 0.9
     front = page("README.md")
-    assert "an archive of {1} warehouses".format(*table("figure_16")[2][2:4]) in front
+    assert "a run of {} evaluations: {} warehouses".format(*table("figure_16")[2][2:4]) in front
 
 
 def test_the_page_states_what_fleets_move():
@@ -232,7 +232,10 @@ def test_the_page_states_what_fleets_move():
     with (RESULTS / "congestion.csv").open() as lines:
         rows_of = {(row["layout"], row["agents"]): row for row in csv.DictReader(lines)}
     paper = rows_of["warehouse_even_nca_a5_eval", "1400"]
-    assert f"{paper['successes']} of {paper['runs']} runs succeed" in PAGE
+    own = (
+        f"priority-based search: {paper['successes']} of {paper['runs']}, `results/congestion.csv`)"
+    )
+    assert own in PAGE
     for domain, robots in (("even", "1400"), ("uneven", "1000")):
         tiled = rows_of[f"warehouse_{domain}_nca_a5_tiled", robots]
         assert re.search("{successes} of {runs}[a-z ]* of `{domain}`".format(**tiled), PAGE)

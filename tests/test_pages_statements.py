@@ -47,23 +47,19 @@ def on_papers_layouts(*agents: int) -> list[dict[str, str]]:
 
 
 def test_the_pages_state_how_often_the_zoos_best_flow_under_the_papers_planner():
-    every = even, uneven, factory = [flows("zoo", domain, "published") for domain in FLEETS]
-    assert [len(runs) for runs in every] == [32, 5, 5]
-    a, b, c = (f"{100 * TRAFFIC[one, 'nca', AGENTS[one][101, 102]].success:.0f}" for one in FLEETS)
-    succeed = [f"{sum(runs)}/{len(runs)}" for runs in (uneven, even, factory)]
-    succeed = "{}, {} and {} runs succeed, one of which".format(*succeed)
-    assert f"{succeed} chose the generator (paper: {b}, {a}, {c} %)" in FRONT
-    low, high = (100 * end for end in wilson_interval(sum(even), len(even)))
-    share = (
-        f"{sum(even)} of {len(even)} runs succeed in `warehouse-even` ({low:.0f} to {high:.0f} %)"
-    )
-    assert share in PAGE
-    assert f"{WORDS[sum(uneven)]} of five in `warehouse-uneven`** (paper: {a} and {b} % of" in PAGE
-    assert f"all {WORDS[sum(factory)]} succeed (paper: {c} %)" in PAGE
-    others = "{}, {} and {}".format(*(sum(runs[1:]) for runs in every))
-    assert f"of the 31, four and four others {others} succeed" in PAGE
+    succeed, paper = [], []
+    for domain in ("warehouse-uneven", "warehouse-even", "manufacturing"):
+        runs = flows("zoo", domain, "published")
+        succeed.append(f"{sum(runs)}/{len(runs)}")
+        paper.append(f"{100 * TRAFFIC[domain, 'nca', AGENTS[domain][101, 102]].success:.0f}")
+        low, high = (100 * end for end in wilson_interval(sum(runs), len(runs)))
+        interval = f"({low:.0f} to {high:.0f} %; paper {paper[-1]} %"
+        assert f"{sum(runs)} of {len(runs)} in `{domain}` {interval}" in PAGE
+    runs = "{}, {} and {} runs succeed".format(*succeed)
+    assert f"{runs}, one of which chose the generator (paper: {', '.join(paper)} %)" in FRONT
     ours = named("warehouse-even").collection.generators[0].sizes[-1].driven[0]
-    assert f"Ours: {WORDS[ours.runs]} runs of {ours.timesteps:,} timesteps, none" in FRONT
+    table = f"Table: {WORDS[ours.runs]} runs of {ours.timesteps:,} timesteps under ours, none"
+    assert f"{table} congested" in FRONT
     runs = flows("cma-es", "warehouse-even", "high")
     assert f"102 {sum(runs)} of {len(runs)} do)" in PAGE
     assert f"{len(runs) - sum(runs)} of CMA-ES's {len(runs)} runs congest" in PAGE
@@ -149,6 +145,15 @@ def test_the_page_of_improvements_states_gains_where_shelves_are_alike_and_jams(
         assert re.search(rf"\| {row['seed']} \| {row['racks_moved']} \| [^|]* {end}", text)
     gains = [float(row["percent"]) for row in found[::2]]
     assert f"[{min(gains):.0f} to {max(gains):.0f} % more tasks](" in FRONT
+    better = {}
+    for section in ("lanes", "racks", "rows", "floor"):
+        saved = rows("improve.csv", section=section)[::2]
+        assert len(saved) == 12
+        gains = [float(row["percent"]) for row in saved if row["better"] == "True"]
+        better[section] = f"{min(gains):.1f} to {max(gains):.1f} %" if gains else ""
+        assert len(gains) == {"lanes": 0, "racks": 4}.get(section, 12)
+    assert f"twelve searches, and `racks` {better['racks']} more tasks in four of twelve**" in text
+    assert f"in all: {better['rows']} and {better['floor']} more tasks." in text
     flow = [float(row["success_rate"]) for row in rows("improve_pbs.csv", runs="6")]
     words = [WORDS[round(6 * (1 - share))] for share in flow]
     assert words[:2] == ["no", "no"] and "in the hall of 30 x 40, where nothing jams" in text

@@ -213,10 +213,10 @@ def _exam(config: TrainConfig) -> Examine:
 def choose(out: Path, average: int, examine: Examine) -> dict[str, float]:
     """Keep the mean of the last agents of a run, or the last alone where that solves more.
 
-    Late agents of one training lie around a point that does better than they where mazes are
-    unlike those of the training (Izmailov et al. 2018, https://arxiv.org/abs/1803.05407). Returns
-    the log's columns: success rates of the last agent, and of the mean. Raises InputError if a file
-    is damaged, or of an agent of another size.
+    The mean of late agents may do better than each (Izmailov et al. 2018,
+    https://arxiv.org/abs/1803.05407); the exam decides. Returns the log's columns: success rates of
+    the last agent, and of the mean. Raises InputError if a file is damaged, or of an agent of
+    another size.
     """
     paths = sorted((out / "agents").glob("*.npz"))[-average:]
     agents = [load_weights(path) for path in paths]

@@ -90,8 +90,7 @@ class ImproveConfig(Ranged):
     def searched(self) -> FleetConfig:
         """The simulations of a search: shorter, and a little more crowded.
 
-        The planner is the one that judges: at low effort a run takes two thirds of the time, but
-        jams by chance more often, and chance is what a search of single runs suffers from.
+        The planner is the one that judges.
         """
         return replace(
             self.fleet,

@@ -51,7 +51,7 @@ class NegotiatedConfig(Ranged):
     # let agents avoid the cells that others took in the last plan, if that costs nothing
     remember: bool = True
     # what agents without a reservation do: follow the joint plan of PIBT, or stand still, which
-    # congests as priority-based search does
+    # congests more often
     last_resort: Literal["pibt", "wait"] = "pibt"
     # where to run: compiled host code (also "auto") or XLA
     backend: Backend = "auto"
@@ -87,9 +87,8 @@ class NegotiatedConfig(Ranged):
         return np.float32(self.rounds) * -(-agents // self.lanes)
 
 
-# Low for the inside of a search: about half of high's time for 1 to 4 % less throughput where
-# nothing jams. More lanes than these cost throughput on either: their agents plan without one
-# another.
+# Low for the inside of a search: less time, for some throughput. More lanes than these cost
+# throughput on either: their agents plan without one another.
 HIGH = NegotiatedConfig()
 LOW = NegotiatedConfig(
     lookahead=7, lanes=8, rounds=4.0, conflict_levels=3, penalties=(0.5, 1.5, 2.5, 4.5, 8.0, 16.0)

@@ -3,8 +3,8 @@
 Okumura et al. 2022, "Priority inheritance with backtracking for iterative multi-agent path
 finding", Artificial Intelligence 310 (https://arxiv.org/abs/1901.11282), algorithm 1. Fast, and it
 always lets the most urgent agent move, but it looks one step ahead only. It is a planner of its
-own and the last resort of the negotiated planner. It must not be used to rank layouts: it reverses
-the order that careful planning gives.
+own and the last resort of the negotiated planner. It must not be used to rank layouts: it gives
+another order than careful planning.
 
 Here it is one loop without callbacks, each turn of which tries one candidate; `numba` is the same
 algorithm in the form a person reads.
