@@ -2,7 +2,7 @@
 
     python -m experiments.polish runs/warehouse-even runs/warehouse-uneven runs/manufacturing
 
-Each drawing is repaired as a search does and as `qdenv generate` does, and both layouts are
+Each drawing is repaired as a search does and with `--polish full`, and both layouts are
 simulated as in the search.
 """
 

@@ -2,16 +2,8 @@
 
 A fleet's throughput rises with its agents up to a peak, and falls beyond it. On crowded layouts it
 falls all of a sudden, when a jam forms that no agent gets out of: the hand-made warehouse of
-33 x 36 moves 6.04 tasks per timestep with 200 agents, 5.80 with 225 and 5.20 with 250. That no run
-was *congested*, i.e. that never more than half of the agents stood still at once, says little then.
-
-Verdicts beside the true peaks, found by sweeps over T = 1000 with high effort in steps of 12 to 50
-agents, on three published warehouses of 33 x 36:
-
-| layout | peak at | flows         | near capacity | past its peak | congested |
-| human  |     200 | 100, 150      | 175, 200      | 225, 250      |           |
-| NCA    |     338 | 200, 250      | 300, 350      | 400           |           |
-| DSAGE  |     300 | 200, 250      | 300           |               | 350       |
+33 x 36 moves 6.04 tasks per timestep with 200 agents and 5.20 with 250. That no run was
+*congested*, i.e. that never more than half of the agents stood still at once, says little then.
 """
 
 from __future__ import annotations
