@@ -284,6 +284,15 @@ def test_the_page_states_layouts_repairs_and_mazes():
     endpoints, shelves = (left == "e").sum(), (plan == "@").sum() - (left == "@").sum()
     assert f"has {endpoints} of its {(plan == 'e').sum()} endpoints in the left half" in PAGE
     assert f"and {shelves} of its {(plan == '@').sum()} shelves in the right" in PAGE
+    for domain, size, *_ in table("figure_18")[:14]:
+        hand, grown = (
+            (layout(f"{domain}-{maker}-{size.replace(' ', '')}") == "@").sum()
+            for maker in ("human", "nca")
+        )
+        if size == "101 x 102":
+            assert f"the one by hand has {hand:,} shelves, the grown one {grown:,}; at" in PAGE
+        else:
+            assert abs(hand - grown) <= 1
     changed = {(row[0], row[1]): int(row[4]) for row in table("figure_12") + table("figure_23")}
     for maker, text in (("a0", "{:,} cells changed"), ("a1", "with {}"), ("nca", "has {})")):
         assert text.format(changed["warehouse-even", maker]) in PAGE
