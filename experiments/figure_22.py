@@ -13,7 +13,7 @@ from qdenv.stats import margin
 SIZES = {S: "S", S_EVAL: "S_eval"}
 # Of N_a: numbers of agents over which Figure 22 draws throughput.
 SHARES = {S: (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0), S_EVAL: (0.4, 0.6, 0.8, 1.0, 1.2, 1.4)}
-# A run at S_eval takes five to ten times as long; where nothing jams they differ by few per mille.
+# A run of CMA-MAE's at S_eval takes five to ten times as long, and runs differ by few per mille.
 CURVE_RUNS = {S: RUNS, S_EVAL: 10}
 HEAD = ("domain", "size", "layout", "runs", "most tasks / timestep", "agents then", "success then")
 NOTES = (

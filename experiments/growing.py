@@ -110,10 +110,7 @@ class Workshop:
         return trial.mean if trial.success == 1 else -1.0
 
     def flows(self, cell: Cell) -> bool:
-        """Return True if a layout of the last size that is worth anything flows under PBS, too.
-
-        Over the whole horizon: many congest only after the time of a trial.
-        """
+        """Return True if a layout of the last size that is worth anything flows under PBS, too."""
         sized = self.grow(cell, self.shapes[-1])
         if sized is None or not self.fleet or self.measuring.pbs_seeds == NONE:
             return sized is not None

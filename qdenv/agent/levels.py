@@ -75,10 +75,9 @@ def _distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
 def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     """Find two tiles about as far apart as any: the farthest one from the farthest one.
 
-    Two breadth-first searches in place of one from every tile (`world.longest_path`), which costs
-    a second at 64 x 64. Exact where the maze is a tree; the search begins in the largest of the
-    components that a few random tiles lie in. The length is 0 where no two empty tiles touch.
-    Consumes the key.
+    A few breadth-first searches in place of one from every tile (`world.longest_path`). Exact where
+    the maze is a tree; the search begins in the largest of the components that a few random tiles
+    lie in. The length is 0 where no two empty tiles touch. Consumes the key.
     """
     n = layout.shape[1]
     kinds = jnp.pad(layout, REACH, constant_values=WALL)
