@@ -56,7 +56,7 @@ def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple
     best = "a long way that the agent finds at the largest size, too"
     return (
         Rule(USUAL, best, "shortest", (SURE,), tried=8),
-        Rule("straight", "a far goal that is found with few detours", f"-{ACTIONS}", far),
+        Rule("straight", "a far goal, found with few detours (at 18 x 18)", f"-{ACTIONS}", far),
         Rule("winding", "a goal that is near and found late", ACTIONS, near),
         Rule(
             "wandering",
@@ -66,8 +66,8 @@ def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple
         ),
         Rule(more, f"{much[0]} that leave a long way", thing, far),
         Rule(less, f"{much[1]} that leave a long way", f"-{thing}", far),
-        Rule(f"{more}-long", f"the longest way with {much[0]}", "shortest", dense),
-        Rule(f"{less}-long", f"the longest way with {much[1]}", "shortest", sparse),
+        Rule(f"{more}-long", f"{much[0]} above all, then a long way", "shortest", dense),
+        Rule(f"{less}-long", f"{much[1]} above all, then a long way", "shortest", sparse),
         Rule("hard", "a long way that the agent sometimes misses", "-success", missed),
     )
 

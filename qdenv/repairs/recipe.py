@@ -1,7 +1,7 @@
 """The repair of one layout: bound its cost, anneal, audit; improve it as far as `polish` says.
 
-Annealing makes a feasible layout of any input in a fraction of a second, where the solver alone
-often fails. The solver starts from that layout: it improves windows of it, then the whole, and
+Annealing makes a feasible layout of nearly any input within seconds, where the solver alone often
+fails. The solver starts from that layout: it improves windows of it, then the whole, and
 bounds how low a cost can be. Where annealing fails too, it decides whether any layout exists.
 """
 
