@@ -200,6 +200,14 @@ def test_the_page_states_table_4_and_how_its_rows_compare():
         assert f"CMA-MAE has {more:.1f} times its QD-score (paper {theirs:.1f} times)" in PAGE
     early = score_after("warehouse-even-cma-es", 4000) / cma_es
     assert f"{100 * early:.0f} % of that score were there after 4,000" in PAGE
+    cma_es = score["warehouse-uneven-cma-es"]
+    early, best = (
+        score_after("warehouse-uneven-cma-es", 4000) / cma_es,
+        numbers("warehouse-uneven-cma-es", "objective").max(),
+    )
+    rest = f"% of that score were there after 4,000. Its best moves {best:.3f}; CMA-MAE's archive"
+    more = score["warehouse-uneven"] / cma_es
+    assert f"{100 * early:.0f} {rest} scores {more:.1f} times as much" in PAGE
     lowest = [numbers(run, "environment entropy").min() for run in WAREHOUSES]
     assert min(lowest) > 0.35 and lowest[WAREHOUSES.index("warehouse-even-dsage")] > 0.9
     front = page("README.md")
