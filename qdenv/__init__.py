@@ -1,6 +1,6 @@
 """Generate environments that make robot fleets flow.
 
-One loop, one folder per stage:
+One loop, a file or folder per stage:
 
     parameters ─▶ generate ─▶ repair ─▶ simulate ─▶ score ─▶ search ─▶ next parameters
                   (device)    (host     (host or   (device)  (device)

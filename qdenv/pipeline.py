@@ -51,7 +51,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
         repair_seed: other numbers give other repairs of about equal cost.
 
     Raises:
-        InputError: the canvas is too small, or the repair rules contradict each other.
+        InputError: the canvas is too small.
     """
     domain = make_domain(config.domain)
     generator = GENERATORS.make(config.generator, domain.canvas)

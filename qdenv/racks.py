@@ -1,8 +1,8 @@
 """Racks in rows: a floor of the kind that people draw, in twelve numbers.
 
-Racks are one or two shelves deep and up to sixteen long, with aisles and cross aisles of equal
-width between them. They fill the area from the stations on until all shelves have a place, so
-that ways are short; how much the nearest station and the directions count is searched, too.
+Racks are one or two shelves deep and up to sixteen long, with aisles of one width and cross
+aisles of another between them. They fill the area from the stations on until all shelves have a
+place, so that ways are short; how much the nearest station and the directions count is searched.
 """
 
 import jax

@@ -56,7 +56,7 @@ def test_the_pages_state_how_often_the_zoos_best_flow_under_the_papers_planner()
         interval = f"({low:.0f} to {high:.0f} %; paper {paper[-1]} %"
         assert f"{sum(runs)} of {len(runs)} in `{domain}` {interval}" in PAGE
     runs = "{}, {} and {} runs succeed".format(*succeed)
-    assert f"{runs}, one of which chose the generator (paper: {', '.join(paper)} %)" in FRONT
+    assert f"{runs}, one of each 50 chose the generator (paper: {', '.join(paper)} %)" in FRONT
     ours = named("warehouse-even").collection.generators[0].sizes[-1].driven[0]
     table = f"Table: {WORDS[ours.runs]} runs of {ours.timesteps:,} timesteps under ours, none"
     assert f"{table} congested" in FRONT

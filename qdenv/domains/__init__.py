@@ -1,1 +1,1 @@
-"""The domains: the only place that knows a domain's name and its own numbers."""
+"""The domains: rules, measures and numbers of each."""

@@ -174,7 +174,8 @@ class GuideOptions(RunOptions, total=False):
     # planner of the paths, by its registered name or its settings, like `PbsConfig()`
     planner: Annotated[Any, arg(name="", constructor=PibtOptions)]
     # search 30 numbers of smooth costs for floors of any size, the cost of each move, or weights of
-    # a network that updates costs; by default smooth, or costs if it begins at those of a file
+    # a network that updates costs; by default smooth, or costs if --guidance or the file states
+    # other costs than none, crisscross and crisscross-pairs
     method: Literal["smooth", "costs", "update"]
     # number of costs of moves to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt
@@ -182,7 +183,8 @@ class GuideOptions(RunOptions, total=False):
     simulations: PositiveInt  # simulations of each try, with fresh seeds; by default 1
     seed: NonNegativeInt  # seed of the search; by default 0
     # costs of moves where the search begins: a name or a file, as for `simulate`; by default those
-    # in the layout file, else the best of none, crisscross and crisscross-pairs
+    # in the layout file, else or with --method smooth or update the best of none, crisscross and
+    # crisscross-pairs
     guidance: Guidance
 
 

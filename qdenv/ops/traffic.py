@@ -53,7 +53,7 @@ def simulate(
         **fleet: see `FleetOptions`.
 
     Returns:
-        ``mean_throughput`` in tasks per timestep, and more: what `--json` writes.
+        ``mean_throughput`` in tasks per timestep, and more; `--json` adds the audit and a verdict.
 
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.

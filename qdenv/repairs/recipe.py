@@ -32,7 +32,7 @@ def repair_layout(
     config: RepairConfig | None = None,
     progress: Progress = silent,
 ) -> Repair:
-    """Find the cheapest layout near `layout` (int8 [H, W]) that obeys `rules`.
+    """Change few cells of `layout` (int8 [H, W]) so that it obeys `rules`.
 
     The seed, any integer, is mixed with the layout's content: the same gives the same layout,
     another may give another one of about equal cost. Returns numpy values; where the status is

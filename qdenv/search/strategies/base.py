@@ -52,8 +52,8 @@ def full_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
 def separable_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
     """Compute (c_c, c_1, c_mu) of a diagonal covariance matrix, as pyribs does.
 
-    They are larger than `full_rates`: a diagonal has fewer numbers to learn (Ros and Hansen 2008,
-    https://inria.hal.science/inria-00287367).
+    c_c and c_mu are larger than in `full_rates`: a diagonal has fewer numbers to learn (Ros and
+    Hansen 2008, https://inria.hal.science/inria-00287367).
     """
     cov_path = (1 + 1 / dim + mu_eff / dim) / (dim**0.5 + 1 / dim + 2 * mu_eff / dim)
     rank_one = full_rates(mu_eff, dim)[1] / (dim + 2 * dim**0.5 + mu_eff / dim)

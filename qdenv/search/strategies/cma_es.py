@@ -91,7 +91,7 @@ class _Covariance(base.Strategy):
 
 
 class Separable(_Covariance):
-    """sep-CMA-ES: a diagonal covariance with its own, larger rates, O(b P).
+    """sep-CMA-ES: a diagonal covariance with its own rates, O(b P).
 
     Ros and Hansen 2008, "A simple modification in CMA-ES achieving linear time and space
     complexity", https://inria.hal.science/inria-00287367.

@@ -1,4 +1,5 @@
-"""An independent check of a recorded run: plain numpy, no code shared with the simulator.
+"""An independent check of a recorded run: plain numpy, no code shared with the simulator but
+the goals' weights and stays.
 
 It walks through the trajectory once and works out by itself what must have happened: arrivals,
 services, finished tasks, jams. Everything that disagrees is named.

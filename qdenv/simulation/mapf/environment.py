@@ -4,7 +4,8 @@ The rules are those of `qdenv.simulation`; who drives is up to the caller. `rese
 jitted, vmapped over keys and layouts, and scanned. Starts and goals are drawn as in
 `fleet.simulate`: the same key and moves give the same tasks.
 
-    environment = qdenv.make_environment(layouts, agents=30, auto_reset=True)  # int8 [B, H, W]
+    # layouts: int8 [B, H, W]
+    environment = qdenv.make_environment(layouts, agents=30, domain="hall", auto_reset=True)
     states, timesteps = jax.vmap(environment.reset)(jax.random.split(key, B), jnp.arange(B))
     states, timesteps = jax.vmap(environment.step)(states, actions)  # int32 [B, A]
 
