@@ -38,7 +38,7 @@ def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]
         Rule(f"many-{noun}", many, things),
         Rule("orderly", "one of the best of the most regular tenth", "objective", tenth),
         Rule(f"orderly-few-{noun}", regular, "objective", (third, (f"-{things}", 0.3))),
-        Rule("clean", "of high similarity to its drawing, as the search measures it", "similarity"),
+        Rule("clean", "chosen by similarity to its drawing, as the search measures it", "similarity"),
         Rule("calm", "robots wait little", "-waiting"),
         Rule("short-ways", "short ways from task to task", "-path_length"),
     )

@@ -110,10 +110,10 @@ def test_the_notes_state_what_pbs_makes_of_published_layouts():
     spent = [float(row["cpu_seconds"]) for row in on_papers_layouts(200)]
     assert f"takes `pbs` {min(spent):.1f} to {max(spent):.1f} CPU seconds" in NOTES
     (large,) = rows("congestion.csv", layout="warehouse_even_nca_a5_eval")
-    spent = f"takes `pbs` {float(large['cpu_seconds']):.0f} CPU seconds"
+    spent = f"jam ({float(large['cpu_seconds']):.0f} CPU seconds a run on average)"
     paper = 100 * TRAFFIC["warehouse-even", "nca", int(large["agents"])].success
-    reach = "There {successes} of {runs} runs reach the end and the others jam".format(**large)
-    assert f"{spent}. {reach}; in the paper {paper:.0f} % do not jam" in NOTES
+    reach = "{successes} of {runs} runs reach the end and the others".format(**large)
+    assert f"{reach} {spent}; in the paper {paper:.0f} % do not jam" in NOTES
     (edge,) = rows("congestion.csv", layout="warehouse_even_dsage", timesteps="5000")
     jams, moved = int(edge["runs"]) - int(edge["successes"]), f"{float(edge['throughput']):.2f}"
     jams = f"{jams} of {edge['runs']} runs of T = {edge['timesteps']} congest"
@@ -196,7 +196,7 @@ def test_the_page_states_the_searches_behind_both_zoos():
     for domain in FLEETS:
         made = named(domain).collection
         assert f"by {made.origin.evaluations:,} evaluations from the first zoo's best" in PAGE
-        assert f"and {made.origin.further // len(made.generators)} around each of its" in PAGE
+        assert f"and by {made.origin.further:,} around other elites" in PAGE
     for domain in FLEETS[:2]:
         origin = json.loads((RESULTS / "zoo" / f"{domain}.json").read_text())["origin"]
         stated = "'s from {evaluations:,}( evaluations)? of seed {seed} and {further:,} more"

@@ -242,7 +242,7 @@ def test_a_run_is_never_overwritten_and_a_newer_one_not_opened(finished, tmp_pat
 def test_a_full_disk_keeps_what_was_written(finished, tmp_path, monkeypatch):
     config = replace(toy.CONFIG, evaluations=16)
     run = loop.train(config, tmp_path / "run", progress=False)
-    before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
+    before = toy.files(run.path)
 
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
@@ -251,6 +251,6 @@ def test_a_full_disk_keeps_what_was_written(finished, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="No space left on device"):
         loop.resume(run.path, progress=False, evaluations=48)
     monkeypatch.undo()
-    assert before == {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
+    assert before == toy.files(run.path)
     resumed = loop.resume(run.path, progress=False, evaluations=48)
     assert toy.same(resumed.archive.columns, finished.archive.columns)

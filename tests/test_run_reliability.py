@@ -1,6 +1,7 @@
 """Runs that were killed, damaged, edited or started twice: one line, and the same bits."""
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -85,11 +86,17 @@ def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(kind, whole, run
     assert (run.path / "checkpoints" / "1-notes.npz").exists()
 
 
-def test_with_no_whole_checkpoint_the_line_says_what_to_delete(run):
+@pytest.mark.parametrize("lost", [(), ("checkpoints",), ("checkpoints", "archive.npz")])
+def test_a_run_without_a_whole_checkpoint_stays_as_it_is(lost, run):
     for path in (run.path / "checkpoints").iterdir():
         path.write_bytes(b"")
-    with pytest.raises(InputError, match=r"delete .*checkpoints to start over"):
+    for name in lost:
+        path = run.path / name
+        path.unlink() if path.is_file() else shutil.rmtree(path)
+    before = toy.files(run.path)
+    with pytest.raises(InputError, match="train in another folder"):
         loop.resume(run.path, progress=False)
+    assert toy.files(run.path) == before
 
 
 HOLDER = """
@@ -107,10 +114,10 @@ def test_a_second_process_is_refused_and_a_dead_one_leaves_no_lock(run):
     holder = subprocess.Popen(command, stdin=-1, stdout=-1, text=True)
     try:
         assert holder.stdout.readline() == "held\n"
-        before = {path: path.read_bytes() for path in run.path.rglob("*") if path.is_file()}
+        before = toy.files(run.path)
         with pytest.raises(InputError, match="another process is at work"):
             loop.resume(run.path, False, 48)
-        assert before == {p: p.read_bytes() for p in run.path.rglob("*") if p.is_file()}
+        assert before == toy.files(run.path)
     finally:
         holder.kill()
         holder.communicate()
@@ -209,10 +216,10 @@ def test_a_maze_run_goes_on_with_the_agent_it_began_with_only(tmp_path):
 
     agent.write_bytes(other.read_bytes())
     agent_weights.cache_clear()
-    before = {path: path.read_bytes() for path in begun.path.rglob("*") if path.is_file()}
+    before = toy.files(begun.path)
     with pytest.raises(InputError, match=r"made with the agent of checksum .*, now it is"):
         loop.resume(begun.path, False, 16)
-    assert before == {path: path.read_bytes() for path in begun.path.rglob("*") if path.is_file()}
+    assert before == toy.files(begun.path)
 
     agent.write_bytes(own)
     agent_weights.cache_clear()

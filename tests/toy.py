@@ -1,6 +1,7 @@
 """A user's own domain: a garden whose objective is the number of flowers. No stage knows it."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -97,3 +98,8 @@ def same(left: dict, right: dict) -> bool:
     return left.keys() == right.keys() and all(
         left[name].tobytes() == right[name].tobytes() for name in left
     )
+
+
+def files(folder: Path) -> dict[Path, bytes]:
+    """Read all files in a folder and below."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -95,7 +95,7 @@ class TrainConfig(Ranged):
     rate: PositiveFloat = 1e-3  # first learning rate; falls linearly to a twentieth
     entropy: NonNegativeFloat = 5e-3  # first weight of the entropy bonus; falls linearly to a tenth
     # share of the training after which the novelty reward has faded to nothing; it begins to fade
-    # halfway there
+    # halfway there; 1 or more: it stays
     novelty_until: PositiveFloat = 1.0
     exam: PositiveInt = 32  # held-out mazes of each kind, played for every line of the log
     # number of agents, of the last lines of the log, whose mean weights make the final agent,

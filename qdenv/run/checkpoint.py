@@ -69,9 +69,7 @@ def load_newest(run: Path, initial: Any, settings: Mapping[str, Any]) -> tuple[i
             state, manifest = _load(path, initial)
         except DamagedError as error:
             if path == saved[0]:
-                raise InputError(
-                    f"{error}: no checkpoint is whole, delete {path.parent} to start over"
-                ) from error
+                raise InputError(f"{error}: none is whole, train in another folder") from error
             _LOG.warning("%s: going on from the checkpoint before it", error)
             continue
         for name, value in settings.items():

@@ -192,10 +192,15 @@ class Publisher:
     def load(self, initial: Search) -> tuple[int, Search]:
         """Load the newest checkpoint, or `initial`, and the log up to it: later rows are repeated.
 
-        Returns the number of iterations done, and the search after them.
+        Returns the number of iterations done, and the search after them. Raises InputError if
+        there is a result but no checkpoint: a search that began anew would replace it.
         """
-        done, search = load_newest(self._run.path, initial, self._settings)
+        path = self._run.path
+        done, search = load_newest(path, initial, self._settings)
         metrics, notes = self._run.read_metrics(salvage=True), self._run.read_notes(salvage=True)
+        due = len(metrics) > self._run.config.checkpoint_every
+        if not done and (due or (path / "archive.npz").exists()):
+            raise InputError(f"{path}: no checkpoint to go on from, train in another folder")
         self._rows = [row for row in metrics if row.iteration <= done]
         self._notes = [note for note in notes if note["iteration"] <= done]
         self._seconds = self._rows[-1].seconds if self._rows else 0.0
