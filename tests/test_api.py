@@ -273,12 +273,6 @@ def test_export_writes_tables_and_every_layout(run, tmp_path, capsys, monkeypatc
     assert command(["export", str(run.path), "--solutions", "--out", "s.csv"]) == 0
     width = run.archive.columns["solution"].shape[1]
     assert len(pandas.read_csv("s.csv").columns) == len(frame.columns) + width
-    for arguments, said in (
-        (["--out", "x.png"], "ends in .csv or .parquet"),
-        (["--out", "plans"], ".csv or .parquet"),
-    ):
-        assert command(["export", str(run.path), *arguments]) == 2
-        assert said in capsys.readouterr().err
 
 
 def test_parquet_is_written_or_says_what_it_needs(run, tmp_path, capsys):

@@ -92,20 +92,6 @@ def test_a_repaired_plan_keeps_its_costs(plans):
     np.testing.assert_array_equal(costs[both], crisscross(HALL)[both])
 
 
-@pytest.mark.parametrize(
-    ("command", "message"),
-    [
-        (["simulate", "plain.json", "--guidance", "left"], "unknown guidance 'left': choose one"),
-        (["sweep", "plain.json", "--guidance", "no.json"], "no.json: cannot be read"),
-        (["report", "plain.json", "--guidance", "plain.json"], "plain.json: no costs of moves"),
-    ],
-)
-def test_mistakes_are_one_line(command, message, plans, capsys):
-    assert run([*command, "--planner", "pibt"]) == 2
-    said = capsys.readouterr().err
-    assert message in said and said.count("\n") == 1
-
-
 def test_a_planner_that_reads_no_costs_is_refused_before_anything_runs(plans, capsys, monkeypatch):
     monkeypatch.setattr("qdenv.study.table._simulate", lambda *inputs: pytest.fail("simulated"))
     planner = qdenv.PLANNERS.make(qdenv.PibtConfig())._replace(reads_costs=False)

@@ -148,42 +148,6 @@ def test_results_have_a_name_of_their_own_and_replace_nothing_by_themselves(fold
     assert "that is what is read" in refusal(keep, capsys)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["repair", "plan.txt", "--diff", "x.xyz"], "give a name that ends in .png or .svg or"),
-        (["repair", "plan.txt", "--out", "x.png"], "give a name that ends in .json or .txt or"),
-        (["repair", "plan.txt", "--out", "x.map"], "give a name that ends in .json or .txt or"),
-        (["repair", "plan.txt", "--shelves", "77"], "no repair exists"),
-        (["repair", "plan.txt", "--shelves", "-1"], "-1 shelves: give 0 or more"),
-        (["check", "plan.txt", "--shelves", "-1"], "-1 shelves: give 0 or more"),
-        (["repair", "plan.txt", "--keep", "gone.txt"], "gone.txt: cannot be read"),
-        (["repair", "maze.txt"], "have no rules: nothing to repair"),
-        (["layout", "human", "--rows", "20", "--cols", "20", "--out", "h.png"], "ends in .json"),
-        (["layout", "human", "--rows", "10000", "--cols", "10000"], "more than 1000 rows or"),
-        (["layout", "human", "--rows", "99999999999", "--cols", "20"], "more than 1000 rows or"),
-        (["layout", "human", "--rows", "-5", "--cols", "20"], "give 1 row and 1 column or more"),
-        (["layout", "tile", "plan.txt", "--rows", "20", "--cols", "20", "--out", "h.png"], "ends"),
-        (["layout", "tile", "plan.txt", "--rows", "1001", "--cols", "20"], "more than 1000 rows"),
-        (["layout", "symbols", "--domain", "moon"], "unknown domain 'moon'"),
-        (["render", "plan.txt", "--out", "p.gif"], "ends in .png or .svg or .pdf"),
-        (["render", "plan.txt", "--out", "p.json"], "ends in .png or .svg or .pdf"),
-        (["render", "gone.txt"], "cannot be read"),
-        (["check", "plan.txt", "--domain", "manufacturing"], "'w' at row 7, column 2"),
-        (["check", "uneven.json", "--domain", "warehouse-even"], "says warehouse-uneven"),
-    ],
-)
-def test_mistakes_are_refused_in_one_line_before_a_file_is_made(arguments, reason, folder, capsys):
-    (folder / "maze.txt").write_text("XXX\nX X\nXXX\n")
-    content = {"layout": PLAN, "domain": "warehouse-uneven"}
-    (folder / "uneven.json").write_text(json.dumps(content))
-    before = sorted(folder.iterdir())
-    said = refusal(arguments, capsys)
-    # Of a tile of another domain the first one is named, wherever it is.
-    assert reason in said or re.search(r"unknown tile '@' at row 3, column 2", said)
-    assert sorted(folder.iterdir()) == before
-
-
 def test_every_format_is_checked_alike(folder, capsys):
     layout = find_domain("warehouse-even").resized(12, 14).human()
     meanings = find_domain("warehouse-even").meanings

@@ -14,7 +14,7 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.formats import ALL_ENDINGS, FORMATS
 from qdenv.io.guidance import weights_of
-from qdenv.io.layouts import Drawing, read_drawing, write_layout
+from qdenv.io.layouts import Drawing, read_drawing
 from qdenv.study.plans import read_plan
 from qdenv.types import InputError
 
@@ -198,23 +198,6 @@ def test_wrong_files_are_refused_in_one_line(name, tmp_path):
         with pytest.raises(InputError, match=reason) as error:
             read_drawing(path)
         assert str(path) in str(error.value) and "\n" not in str(error.value)
-
-
-def test_wrong_formats_are_refused_in_one_line(plan, capsys):
-    for words, reason in [
-        (["a.map", "--format", "png2"], "choose one of"),
-        (["a.txt", "--format", "rhcr"], "rhcr needs a name that ends in .grid"),
-        (["a.doc"], "give a name that ends in .json"),
-        (["plan.json"], "that is what is read"),
-    ]:
-        name, *options = words
-        assert qdenv(["convert", str(plan), str(plan.with_name(name)), *options]) == 2
-        assert reason in capsys.readouterr().err
-    write_layout(plan.with_name("b.json"), parse(ROWS, TILES), TILES)
-    for name, options in [("a.scen", []), ("a.json", ["--format", "lorr"])]:
-        target = plan.with_name(name)
-        assert qdenv(["convert", str(plan.with_name("b.json")), str(target), *options]) == 2
-        assert "write a .map" in capsys.readouterr().err and not target.exists()
 
 
 def test_every_ending_has_a_format_that_reads_or_writes_it():

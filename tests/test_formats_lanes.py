@@ -139,7 +139,3 @@ def test_what_a_road_map_does_not_say_is_named(plan, capsys):
     lines = capsys.readouterr().out.splitlines()
     dear = "lif: costs of moves (but for moves that are not allowed) are left out"
     assert lines[:2] == ["lif: obstacles (shelf) are left out", dear]
-    assert qdenv(["convert", str(plan), str(plan.with_name("a.yaml"))]) == 2
-    assert "--format says which: rmf or ros" in capsys.readouterr().err
-    assert qdenv(["convert", str(plan), str(plan.with_name("a.lif")), "--cell", "2000"]) == 2
-    assert "0.001 to 1000 metres" in capsys.readouterr().err

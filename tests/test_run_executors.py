@@ -234,19 +234,6 @@ def test_a_worker_of_another_version_computes_nothing():
         executors.perform("another", pow, (2, 5))
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"scheduler": "tcp://x:1"}, "--scheduler is for a cluster: add --executor dask"),
-        ({"executor": "dask", "scheduler": "tcp://x:1", "workers": 2}, "leave --scheduler out"),
-        ({"executor": "dask", "workers": 0}, "workers must be at least 1, not 0"),
-    ],
-)
-def test_contradictions_are_refused(given, said):
-    with pytest.raises(InputError, match=said):
-        Execution(**given)
-
-
 def test_an_address_where_nobody_answers_is_refused(whole, tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "_ANSWER", 1)
     execution = Execution("dask", scheduler="tcp://127.0.0.1:9")

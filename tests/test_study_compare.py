@@ -1,7 +1,6 @@
 """Layouts side by side and up to their peaks: oracles, closed forms, one line per mistake."""
 
 import csv
-import re
 from pathlib import Path
 
 import numpy as np
@@ -229,21 +228,3 @@ def test_planners_are_compared_seed_by_seed_on_each_layout(layouts, tmp_path, ca
     assert [row.planner for row in both] == ["pibt 1", "pibt 2"]
     assert [run.throughput for run in both[1].each] == pytest.approx(each["human", "pibt"])
     assert qdenv.compare(paths[:1], planner="pibt", **size)[0].each == both[1].each
-
-
-@pytest.mark.parametrize(
-    ("planner", "said"),
-    [
-        ("pibt,pibt", "name each planner once"),
-        ("pibt,kiva", "unknown planner 'kiva'"),
-        ("pibt,", "name each planner once"),
-        ("pibt,pbs --planner.swap", "--planner.swap: several planners have their defaults"),
-    ],
-)
-def test_planners_that_cannot_be_compared_are_refused_in_a_line(planner, said, tmp_path, capsys):
-    write_layout(tmp_path / "a.json", WAREHOUSE.resized(9, 12).human(), WAREHOUSE.tiles)
-    words = f"compare {tmp_path / 'a.json'} --agents 2 --planner {planner}".split()
-    assert cli.run(words) == 2
-    assert re.search(said, capsys.readouterr().err)
-    assert cli.run(["sweep", words[1], "--planner", "pibt,pbs"]) == 2
-    assert "unknown planner 'pibt,pbs'" in capsys.readouterr().err
