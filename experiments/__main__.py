@@ -148,4 +148,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments"))
+    run_program(main, "python -m experiments")

@@ -7,7 +7,6 @@ effort and under priority-based search by its published and its plain rule. Ever
 runs.csv and is not simulated again, so this can be stopped and started again.
 """
 
-import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -279,4 +278,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.agreement"))
+    run_program(main, "python -m experiments.agreement")

@@ -7,7 +7,6 @@ Every algorithm has its defaults. Each run has a folder of its own: finished one
 half-done ones go on, so this can be stopped and started again, with more seeds, too.
 """
 
-import sys
 import time
 from dataclasses import replace
 from itertools import chain, product
@@ -142,4 +141,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.algorithms"))
+    run_program(main, "python -m experiments.algorithms")

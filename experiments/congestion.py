@@ -11,7 +11,6 @@ and several can work at once, each with a file of its own. The paper's figures a
 name says whose layout it is: nca_a0, nca_a1, nca_a5, dsage, human or tiled.
 """
 
-import sys
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
@@ -154,4 +153,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.congestion"))
+    run_program(main, "python -m experiments.congestion")

@@ -220,10 +220,7 @@ def best_of(domain: str, maker: str = "nca") -> str:
 
 def checksum(*arrays: Array) -> str:
     """Return a checksum of arrays."""
-    total = 0
-    for array in arrays:
-        total = zlib.crc32(np.asarray(array).tobytes(), total)
-    return f"{total:08x}"
+    return f"{zlib.crc32(b''.join(np.asarray(array).tobytes() for array in arrays)):08x}"
 
 
 def random_like(layout: np.ndarray, seed: int) -> np.ndarray:

@@ -6,7 +6,6 @@ Bends a chain of twelve links so that its tip reaches many different places whil
 bent as evenly as possible. Saves the archive as a table for pandas and as a picture.
 """
 
-import sys
 from pathlib import Path
 
 import jax
@@ -61,4 +60,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.own_objective"))
+    run_program(main, "python -m experiments.own_objective")

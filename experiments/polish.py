@@ -6,7 +6,6 @@ Each drawing is repaired as a search does and with `--polish full`, and both lay
 simulated as in the search.
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -102,4 +101,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.polish"))
+    run_program(main, "python -m experiments.polish")

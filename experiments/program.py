@@ -3,14 +3,15 @@
 import os
 import sys
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from qdenv import interrupt
 from qdenv.cli.parser import bind, parse
 from qdenv.types import InputError
 
 
-def run_program(function: Callable, program: str, words: Sequence[str] | None = None) -> int:
-    """Run a program that is one function, whose arguments are its options; return its exit code.
+def run_program(function: Callable, program: str, words: Sequence[str] | None = None) -> NoReturn:
+    """Run a program that is one function, whose arguments are its options, and exit.
 
     `program` is how it is called, like "python -m experiments.benchmarks maze"; `words` are those
     of this process unless given.
@@ -22,7 +23,7 @@ def run_program(function: Callable, program: str, words: Sequence[str] | None = 
         sys.stdout.flush()
     except InputError as error:
         print(f"qdenv: {error}", file=sys.stderr)
-        return 2
+        sys.exit(2)
     except BrokenPipeError:  # the reader has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
+    sys.exit()

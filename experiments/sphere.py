@@ -8,7 +8,6 @@ and the standard error, and draws the archive of the last seed. The page of resu
 what was measured.
 """
 
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -104,4 +103,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.sphere"))
+    run_program(main, "python -m experiments.sphere")

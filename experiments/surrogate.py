@@ -9,7 +9,6 @@ surrogate (`dsage`, `cma-mae-screened`) remembers, elites or not, tile usage inc
 held out, drawn at random; the others are learnt from, all of them and fewer.
 """
 
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,12 +24,12 @@ from experiments.program import run_program
 from qdenv.io.files import write_csv
 from qdenv.run.checkpoint import load_newest
 from qdenv.search.base import growing
+from qdenv.study.options import find_surrogate
 from qdenv.study.surrogate import score_predictions, split_elites
-from qdenv.surrogates.settings import PUBLISHED, SurrogateConfig
+from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.surrogates.surrogate import Ring, Samples, Surrogate
 from qdenv.types import Encoding
 
-SIZES = {"small": SurrogateConfig(), "published": PUBLISHED}
 CHUNK = 50  # layouts predicted at a time
 HEAD = ("size", "learnt_from", "held_out", "seed", "number", "r2", "rmse", "rank", "cpu_seconds")
 
@@ -102,7 +101,7 @@ def main(
     for size in sizes:
         for seed in range(seeds):
             for known, held, predicted, truth, spent in try_once(
-                SIZES[size], encoding, samples, list(counts), seed
+                find_surrogate(size, {}), encoding, samples, list(counts), seed
             ):
                 for place, name in enumerate(names):
                     skill = score_predictions(predicted[:, place], truth[:, place])
@@ -114,4 +113,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.surrogate"))
+    run_program(main, "python -m experiments.surrogate")

@@ -7,7 +7,6 @@ with the separable evolution strategy. Finished runs are kept, so it can be stop
 """
 
 import itertools
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,4 +62,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.which_nca"))
+    run_program(main, "python -m experiments.which_nca")

@@ -12,7 +12,6 @@ a file and is not repeated, so this can be stopped and started again.
 """
 
 import shutil
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from functools import partial
@@ -194,4 +193,4 @@ def main(
 
 
 if __name__ == "__main__":
-    sys.exit(run_program(main, "python -m experiments.zoo"))
+    run_program(main, "python -m experiments.zoo")

@@ -30,6 +30,7 @@ def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
     best = "of those tried that flow at the largest size under both planners, moved most"
     regular = f"one of the best regular ones with few {noun}"
+    clean = "chosen by similarity to its drawing, as the search measures it"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),
         Rule("regular", "few different patterns of tiles: of low entropy", f"-{ENTROPY}"),
@@ -38,7 +39,7 @@ def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]
         Rule(f"many-{noun}", many, things),
         Rule("orderly", "one of the best of the most regular tenth", "objective", tenth),
         Rule(f"orderly-few-{noun}", regular, "objective", (third, (f"-{things}", 0.3))),
-        Rule("clean", "chosen by similarity to its drawing, as the search measures it", "similarity"),
+        Rule("clean", clean, "similarity"),
         Rule("calm", "robots wait little", "-waiting"),
         Rule("short-ways", "short ways from task to task", "-path_length"),
     )

@@ -144,12 +144,6 @@ def choose_tiles(cells: Array) -> jax.Array:
     return jnp.argmax(cells, axis=-1).astype(jnp.int8)
 
 
-def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
-    """Cut the generated area out of a layout whose frame adds (rows, columns) to each side."""
-    rows, cols = layout.shape[:2]
-    return layout[margin[0] : rows - margin[0], margin[1] : cols - margin[1]]
-
-
 def direct(config: DirectConfig, canvas: Canvas) -> Generator:
     """Make the generator whose parameters are the numbers of the tiles, row by row."""
     choices = len(canvas.tiles)

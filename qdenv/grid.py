@@ -52,6 +52,12 @@ def count_neighbours(mask: Array) -> Array:
     return functools.reduce(operator.add, [shift(mask.astype(np.int32), move) for move in MOVES])
 
 
+def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
+    """Cut the generated area out of a layout whose frame adds (rows, columns) to each side."""
+    rows, cols = layout.shape[:2]
+    return layout[margin[0] : rows - margin[0], margin[1] : cols - margin[1]]
+
+
 def parse(rows: Sequence[str], tiles: str, known: str = "") -> np.ndarray:
     """Turn H rows of W symbols into a layout (int8 [H, W]); symbol ``tiles[k]`` is tile ``k``.
 

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.generators import Canvas, Generator, RacksConfig, inside_frame
-from qdenv.grid import MOVES, shift
+from qdenv.generators import Canvas, Generator, RacksConfig
+from qdenv.grid import MOVES, inside_frame, shift
 from qdenv.simulation.mapf.distances import goal_distances
 from qdenv.simulation.mapf.planner import distance_type
 from qdenv.types import InputError

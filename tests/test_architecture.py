@@ -302,10 +302,10 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_324,
+    "lines": 33_271,
     "files": 194,
     "records": 195,
-    "public names": 1_227,
+    "public names": 1_226,
     "class names used twice": 0,
     "functions of two lines": 329,
 }

@@ -10,6 +10,7 @@ import qdenv
 from experiments.benchmarks import common, search
 from experiments.benchmarks.simulation import simulate
 from experiments.benchmarks.training import shortest_time
+from qdenv.study import options
 from qdenv.surrogates.settings import SurrogateConfig
 
 pytestmark = pytest.mark.slow
@@ -83,7 +84,7 @@ def test_a_preset_decides_what_is_searched(preset, shape, kinds, repairs, size):
 
 def test_every_network_of_a_surrogate_is_timed(tmp_path, monkeypatch):
     tiny = SurrogateConfig(channels=1, blocks=0)
-    monkeypatch.setitem(search.SURROGATES, "small", tiny)
+    monkeypatch.setitem(options._SURROGATES, "small", tiny)
     result = search.surrogate(preset="maze-quick", rounds=1, repeats=1, json=tmp_path / "x.json")
     assert json.loads((tmp_path / "x.json").read_text()) == result
     loops = [row["loop"] for row in result["timings"]]

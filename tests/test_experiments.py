@@ -63,12 +63,13 @@ def test_surrogate_judges_what_a_run_remembers(tmp_path, monkeypatch, capsys):
     from qdenv.run.config import choose_algorithm
     from qdenv.run.loop import train
     from qdenv.search.settings import ScreenedConfig
+    from qdenv.study import options
     from qdenv.surrogates.settings import SurrogateConfig
 
     tiny = SurrogateConfig(channels=4, epochs=1, minibatch=8, samples=64)
     search = ScreenedConfig(emitters=2, batch=4, screen=1, refit=1000, surrogate=tiny)
     train(choose_algorithm(toy.CONFIG, search), tmp_path / "run", progress=False)
-    monkeypatch.setitem(surrogate.SIZES, "small", tiny)
+    monkeypatch.setitem(options._SURROGATES, "small", tiny)
     surrogate.main(tmp_path / "run", counts=(10, 1000), seeds=1, out=tmp_path / "table.csv")
     rows = list(read_rows(tmp_path / "table.csv"))
     # 48 evaluations: a fifth is held out, and whoever asks for more than the others gets these.

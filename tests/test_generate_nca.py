@@ -9,8 +9,8 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from qdenv.domains.base import find_domain
-from qdenv.generators import Canvas, NcaConfig, choose_tiles, inside_frame
-from qdenv.grid import draw
+from qdenv.generators import Canvas, NcaConfig, choose_tiles
+from qdenv.grid import draw, inside_frame
 from qdenv.nca import NCA, make_automaton, nca, round_weights, seed_canvas
 from qdenv.types import InputError
 

@@ -121,7 +121,7 @@ def test_comparison_with_random_mazes_of_like_path_length(agent):
     layout = random_mazes(7, 1, 6, 6, 9)[0]
     found = compare_with_random(agent, layout, mazes=4, runs=10, horizon=40)
     length = oracle.longest(layout)[0]
-    assert (found.walls, found.given.shortest, found.horizon) == (9, length, 40)
+    assert (found.walls, found.given.shortest) == (9, length)
     for maze, result in zip(found.mazes, found.results, strict=True):
         assert maze.layout.sum() == 9
         assert (maze.shortest, maze.start, maze.goal) == oracle.longest(maze.layout)

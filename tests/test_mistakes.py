@@ -243,7 +243,7 @@ MISTAKES = {
     "simulate plan.txt --agents 9 --json plan.txt": "named twice",
     "check plan.txt --json c.svg": "a picture's name",
     "train quick --run-dir run": "holds a run already",
-    "train quick --out plan.txt/run": "plan.txt is a file: name a folder",
+    "train quick --out plan.txt/run": "plan.txt is a file): choose another place",
     "train-agent --out plan.txt": "that is a file",
     "train quick --seed -1": "seed -1: give 0 or more",
     "sweep plan.txt --agents 5 --out a.json": "ends in .csv",

@@ -108,7 +108,7 @@ def test_ties_are_broken_by_the_named_column_and_only_ties():
 
 def test_progress_shows_a_point_after_one_iteration(maze, tmp_path):
     assert len(maze.read_metrics()) == 1
-    plot_run(str(maze.path))
+    plot_run(maze)
     image = np.asarray(Image.open(maze.path / "progress.png").convert("RGB")).astype(int)
     coloured = np.ptp(image, axis=-1) > 60
     thirds = np.array_split(coloured, 3, axis=1)

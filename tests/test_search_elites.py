@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from qdenv.io.arrays import read_arrays, write_arrays
 from qdenv.run.archive import ArchiveSchema, SavedArchive
 from qdenv.search.archive import GridArchive
 from qdenv.types import InputError, Measure
@@ -61,29 +60,3 @@ def test_a_search_without_a_run_is_a_table_and_an_archive_of_pyribs(tmp_path):
     theirs = archive.to_ribs(["runs"]).data(return_type="dict")
     assert theirs["index"].tolist() == [0, 5, 10] and theirs["objective"].tolist() == [3, 1, 2]
     assert theirs["runs"].tolist() == [[0, 1], [2, 3], [4, 5]]
-
-
-@pytest.mark.parametrize("archive", [example(), example(0.5, 0.0)], ids=["elitist", "soft"])
-def test_columns_make_the_same_archive_again_also_from_a_file(archive, tmp_path):
-    write_arrays(tmp_path / "archive.npz", archive.elites(), compressed=True)
-    again = GridArchive.from_elites(read_arrays(tmp_path / "archive.npz"), GRID)
-    assert again.measures == archive.measures and again.thresholds is None
-    rows = archive.elites()
-    rows.pop("threshold", None)
-    assert rows.keys() == again.elites().keys()
-    for name, values in again.elites().items():
-        np.testing.assert_array_equal(values, rows[name])
-        assert values.dtype == rows[name].dtype
-    np.testing.assert_array_equal(again.fitnesses, archive.fitnesses)
-    np.testing.assert_array_equal(again.extra_scores["tiles"], archive.extra_scores["tiles"])
-
-
-def test_no_elites_make_an_empty_archive_and_other_measures_none():
-    empty = GridArchive.empty(np.zeros(2, np.float32), GRID)
-    assert not GridArchive.from_elites(empty.elites(), GRID).filled.any()
-    columns = example().elites()
-    for wrong in (GRID[:1], (Measure("x", 0, 4, 2), GRID[1])):
-        with pytest.raises(InputError, match="other measures"):
-            GridArchive.from_elites(columns, wrong)
-    with pytest.raises(InputError, match="other measures"):
-        GridArchive.from_elites({**columns, "objective": columns["objective"][:2]}, GRID)

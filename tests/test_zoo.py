@@ -167,7 +167,7 @@ def test_a_plot_goes_where_the_command_is_given(tmp_path, monkeypatch, capsys):
         assert {path.name for path in Path(folder).iterdir()} >= {"archive.png", "best_layout.png"}
     assert "mine/archive.png" in capsys.readouterr().out
     with pytest.raises(InputError, match="ships with qdenv"):
-        plot_run(EVEN)
+        plot_run(RunDirectory.open(EVEN))
     with pytest.raises(InputError, match="ships with qdenv"):
         qdenv.resume(EVEN)
 

@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+from typing import NoReturn
 
 from experiments.program import run_program
 
@@ -20,15 +21,15 @@ BENCHMARKS = {
 }
 
 
-def main() -> int:
-    """Run the benchmark named on the command line and return the exit code."""
+def main() -> NoReturn:
+    """Run the benchmark named on the command line, and exit."""
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name not in BENCHMARKS:
         print(f"qdenv: usage: {PROGRAM} {{{','.join(BENCHMARKS)}}}", file=sys.stderr)
-        return 2
+        sys.exit(2)
     module = importlib.import_module(f"experiments.benchmarks.{BENCHMARKS[name]}")
-    return run_program(getattr(module, name), f"{PROGRAM} {name}", sys.argv[2:])
+    run_program(getattr(module, name), f"{PROGRAM} {name}", sys.argv[2:])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -20,7 +20,7 @@ from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.dsage import search_surrogate
 from qdenv.search.model import Model
 from qdenv.search.settings import DsageConfig
-from qdenv.surrogates.settings import PUBLISHED, SurrogateConfig
+from qdenv.study.options import find_surrogate
 from qdenv.surrogates.surrogate import Ring, Samples
 
 GRID = (qdenv.Measure("x", -1, 1, 100), qdenv.Measure("y", -1, 1, 100))
@@ -151,7 +151,6 @@ def time_insertion(pyribs: bool) -> Iterator[Row]:
         yield {"archive": "pyribs", **watch.per(50)}
 
 
-SURROGATES = {"small": SurrogateConfig(), "published": PUBLISHED}
 MINIBATCH = 64
 
 
@@ -179,7 +178,7 @@ def surrogate(
     """
     problem = search_problem(preset)
     count = MINIBATCH * rounds
-    config = replace(SURROGATES[size], samples=count, epochs=1, minibatch=MINIBATCH)
+    config = replace(find_surrogate(size, {}), samples=count, epochs=1, minibatch=MINIBATCH)
     model = Model(config, problem, "dsage")
     encoding, networks = model.encoding, model.surrogate
     fitted = jax.jit(networks.init)(jax.random.key(0))

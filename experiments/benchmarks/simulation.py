@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, best_of, save, show
 from experiments.benchmarks.repair import grow_random, rules_at_size
+from experiments.ledger import DRIVERS
 from qdenv.agent.evaluate import default_horizon, draw_mazes, run_alone, run_batch
 from qdenv.repairs.recipe import repair_layout
 from qdenv.simulation.maze.policy import Weights, draw_weights, load_weights
@@ -28,12 +29,6 @@ DOMAINS = {  # by their names in the file of recorded runs
     "warehouse_even": "warehouse-even",
     "warehouse_uneven": "warehouse-uneven",
     "manufacture": "manufacturing",
-}
-PLANNERS: dict[str, Any] = {  # name -> options of `simulate`
-    "low": {"effort": "low"},
-    "high": {"effort": "high"},
-    "published": {"planner": qdenv.PbsConfig(rule="published")},
-    "plain": {"planner": qdenv.PbsConfig(rule="plain")},
 }
 WINDOW = 5  # timesteps between two plans
 # Layout, domain, tiles int8 [H, W], agents, timesteps, recorded runs.
@@ -110,7 +105,7 @@ def recorded_cases(reference: Path, layouts: Path, longest: int) -> Iterator[Cas
 def simulate_case(case: Case, planner: str, seeds: int, audit: bool) -> Row:
     """Simulate a case with one planner, one run at a time: a row of the table."""
     name, kind, tiles, agents, timesteps, recorded = case
-    options = {"domain": kind, "timesteps": timesteps, **PLANNERS[planner]}
+    options: Any = {"domain": kind, "timesteps": timesteps, "planner": DRIVERS[planner]}
     # Given one seed at a time, `simulate` uses one core: CPU seconds are then comparable.
     results = [
         qdenv.simulate(tiles, agents, audit, seeds=(seed,), **options) for seed in range(seeds)

@@ -44,7 +44,6 @@ class Comparison(NamedTuple):
     walls: int  # of the given maze, inside its ring, and of every random one
     given: Drawn  # the given maze without its ring
     mazes: list[Drawn]  # the random mazes, without rings
-    horizon: int  # actions per episode
     results: list[Success]  # of the agent on each of them
     rates: list[float]  # success rates of all random mazes
     mean: float  # of the rates
@@ -184,12 +183,11 @@ def compare_with_random(
     runs: int = 50,
     seed: int = 0,
     horizon: int | None = None,
-    band: tuple[float, float] = BAND,
     progress: Progress = silent,
 ) -> Comparison:
     """Measure the agent on random mazes of like size, walls and path length (host side).
 
-    They resemble the maze `layout` (int8 [H, W], with or without a ring of walls): the `band` holds
+    They resemble the maze `layout` (int8 [H, W], with or without a ring of walls): `BAND` holds
     the least and largest length of the longest shortest path, as shares of its own. Each of the
     episodes per maze ends after `horizon` actions, `default_horizon` unless given; the seed is that
     of walls, headings and actions. Raises InputError for fewer than two mazes, or if 100,000 tries
@@ -201,7 +199,7 @@ def compare_with_random(
     horizon = horizon or default_horizon(inside)
     walls = int((inside == WALL).sum())
     given = Drawn(inside, *map(int, _longest_path(inside)))
-    low, high = (share * given.shortest for share in band)
+    low, high = (share * given.shortest for share in BAND)
     drawn = draw_mazes(
         seed, mazes, inside.shape, walls, lambda length: low <= length <= high, progress=progress
     )
@@ -211,4 +209,4 @@ def compare_with_random(
         progress("solving random mazes", len(results) / mazes, "")
     rates = [result.rate for result in results]
     error = float(standard_error(rates))
-    return Comparison(walls, given, drawn, horizon, results, rates, float(np.mean(rates)), error)
+    return Comparison(walls, given, drawn, results, rates, float(np.mean(rates)), error)

@@ -12,8 +12,8 @@ import numpy as np
 import tyro
 
 from qdenv import devices, score
-from qdenv.generators import Canvas, inside_frame
-from qdenv.grid import draw, of_tiles, parse
+from qdenv.generators import Canvas
+from qdenv.grid import draw, inside_frame, of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged, read_range
 from qdenv.registry import Registry

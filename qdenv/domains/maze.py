@@ -12,7 +12,7 @@ import numpy as np
 
 from qdenv import devices, score
 from qdenv.domains.base import Domain, DomainConfig, KnownSize, Simulator, environment_entropy
-from qdenv.generators import inside_frame
+from qdenv.grid import inside_frame
 from qdenv.lazy import LazyModule, jax, jnp
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry

@@ -13,8 +13,7 @@ import numpy as np
 from qdenv.domains import designs
 from qdenv.domains.base import Domain, KnownSize, environment_entropy
 from qdenv.domains.hall import GENERATED, BuiltConfig, storage
-from qdenv.generators import inside_frame
-from qdenv.grid import parse
+from qdenv.grid import inside_frame, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry

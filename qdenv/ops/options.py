@@ -174,16 +174,16 @@ class GuideOptions(RunOptions, total=False):
     # planner of the paths, by its registered name or its settings, like `PbsConfig()`
     planner: Annotated[Any, arg(name="", constructor=PibtOptions)]
     # search 30 numbers of smooth costs for floors of any size, the cost of each move, or weights of
-    # a network that updates costs; by default smooth, or costs if --guidance or the file states
-    # other costs than none, crisscross and crisscross-pairs
+    # a network that updates costs; by default smooth, or costs if it begins at others than
+    # these
     method: Literal["smooth", "costs", "update"]
     # number of costs of moves to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt
     minutes: PositiveFloat | None  # pause after this many minutes; `qdenv resume` continues
     simulations: PositiveInt  # simulations of each try, with fresh seeds; by default 1
     seed: NonNegativeInt  # seed of the search; by default 0
-    # costs of moves where the search begins: a name or a file, as for `simulate`; by default those
-    # in the layout file, else or with --method smooth or update the best of none, crisscross and
+    # costs of moves where the search begins: a name or a file, as for `simulate`; by default the
+    # layout file's, unless --method is another than costs, or the best of none, crisscross and
     # crisscross-pairs
     guidance: Guidance
 

@@ -12,7 +12,7 @@ from tyro.conf import Positional, Suppress, arg
 from qdenv.agent.settings import TrainConfig
 from qdenv.configurations import PRESETS, find_preset
 from qdenv.domains.base import DOMAINS, find_domain, make_domain
-from qdenv.io.files import reserve
+from qdenv.io.files import check_writable, reserve
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
 from qdenv.ops.costs import describe_cost, remember_cost
@@ -138,9 +138,7 @@ def train(
     if path.as_posix().startswith(PREFIX):
         raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
     # A place that cannot be written to is refused now, not after hours of search.
-    for parent in (path, *path.parents):
-        if parent.exists() and not parent.is_dir():
-            raise InputError(f"{path}: {parent} is a file: name a folder")
+    check_writable(path / "config.json")
     RunDirectory(path).demand_new()
     path = reserve(path, folder=True) if fresh else path
     if scaled:

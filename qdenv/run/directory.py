@@ -237,11 +237,8 @@ class RunDirectory:
     def read_metrics(self, salvage: bool = False) -> list[Metrics]:
         """Read metrics.csv, a row for each iteration; missing columns take their defaults.
 
-        Args:
-            salvage: return the rows before a damage and log it, in place of an error.
-
-        Raises:
-            InputError: the file is missing or damaged.
+        Raises InputError if the file is missing or damaged; with `salvage` the rows before a damage
+        are returned, and it is logged.
         """
         # Without a success there is no best objective: it is infinite.
         return _collect(read_table(self.path / METRICS, Metrics, ("best_objective",)), salvage)
@@ -249,14 +246,7 @@ class RunDirectory:
     def read_notes(self, salvage: bool = False) -> list[Note]:
         """Read notes.csv, the algorithm's own numbers by name, a row for each iteration.
 
-        Args:
-            salvage: see `read_metrics`.
-
-        Returns:
-            the rows; none where the algorithm has no notes.
-
-        Raises:
-            InputError: the file is damaged.
+        There are none where the algorithm has no notes. `salvage` and errors as in `read_metrics`.
         """
         path = self.path / NOTES
         return _collect(_iterate_notes(path), salvage) if path.exists() else []

@@ -193,7 +193,7 @@ class Publisher:
         """Load the newest checkpoint, or `initial`, and the log up to it: later rows are repeated.
 
         Returns the number of iterations done, and the search after them. Raises InputError if
-        there is a result but no checkpoint: a search that began anew would replace it.
+        there is a result but no checkpoint: a search from the start would replace it.
         """
         path = self._run.path
         done, search = load_newest(path, initial, self._settings)

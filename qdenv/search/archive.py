@@ -31,13 +31,10 @@ class Insertion(NamedTuple):
 class GridArchive(MapElitesRepertoire):
     """The best solution of every cell of a regular grid over the measures.
 
-    Mouret and Clune 2015, https://arxiv.org/abs/1504.04909.
-
     A qdax `MapElitesRepertoire` (selectors, metrics and the `MAPElites` driver accept it) whose
     cells are found by direct indexing. Cells are numbered row-major, the last measure fastest.
 
-    With `thresholds` it is the soft archive of CMA-MAE (Fontaine and Nikolaidis 2023,
-    https://arxiv.org/abs/2205.10752): a cell accepts whatever exceeds its
+    With `thresholds` it is the soft archive of CMA-MAE: a cell accepts whatever exceeds its
     threshold, which follows the objectives that it accepted. A winner then replaces the elite of
     its cell even when its objective is lower: keep an archive without thresholds for results.
 
@@ -107,37 +104,6 @@ class GridArchive(MapElitesRepertoire):
             thresholds=thresholds,
             learning_rate=1.0 if learning_rate is None else float(learning_rate),
             threshold_min=float(threshold_min),
-        )
-
-    @classmethod
-    def from_elites(cls, columns: Mapping[str, np.ndarray], measures: Sequence[Measure]) -> Self:
-        """Make an elitist archive of elites.
-
-        Args:
-            columns: as `elites` returns them, or a run's archive.npz holds them: arrays of n elites
-                [n, ...] by name.
-            measures: the axes.
-
-        Raises:
-            InputError: the columns do not belong to an archive over these measures.
-        """
-        rows = {name: values for name, values in columns.items() if name != "threshold"}
-        index, solution, objective, places = (
-            rows.pop(name) for name in ("index", "solution", "objective", "measures")
-        )
-        like = jax.tree.map(
-            lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), (solution, rows)
-        )
-        blank = cls.empty(like[0], measures, like[1])
-        inside = 0 <= index.min(initial=0) <= index.max(initial=0) < len(blank.fitnesses)
-        alike = all(len(values) == len(index) for values in (solution, objective, places))
-        if not (inside and alike and places.shape[1:] == (len(measures),)):
-            raise InputError("the columns are those of an archive over other measures")
-        return blank.replace(
-            genotypes=blank.genotypes.at[index].set(solution),
-            fitnesses=blank.fitnesses.at[index, 0].set(objective),
-            descriptors=blank.descriptors.at[index].set(places),
-            extra_scores=_put(blank.extra_scores, index, rows),
         )
 
     @classmethod

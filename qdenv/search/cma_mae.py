@@ -308,7 +308,8 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
 def cma_es(config: CmaEsConfig, problem: Problem, x0: Array | None = None) -> Algorithm:
     """Make CMA-ES: emitters that rank by the objective and recombine the better half.
 
-    Measures matter only where one restarts, from a random elite. All start at `x0` (float [P]; zeros where None).
+    Measures matter only where one restarts, from a random elite. All start at `x0` (float [P];
+    zeros where None).
     """
     # The archive has to be there, though nothing ranks by it: the plainest, an elitist one.
     settings = CmaMaeConfig(

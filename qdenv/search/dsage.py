@@ -201,8 +201,8 @@ def choose_waiting(
     """Choose what is evaluated next: an elite of each block, and others up to whole batches.
 
     Random solutions, the rows of `fresh` (int8 [Q, P], whole batches, at least one row per block),
-    fill the last batch where the archive of the inner loop has too few elites. Returns the queue int8
-    [Q, P], and how many of its first rows wait (int32). Consumes `key`.
+    fill the last batch where the archive of the inner loop has too few elites. Returns the queue
+    int8 [Q, P], and how many of its first rows wait (int32). Consumes `key`.
     """
     block_key, order_key = jax.random.split(key)
     drawn, cells = draw_per_block(block_key, predicted.filled, block), len(block)

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generators import GENERATORS, inside_frame
-from qdenv.grid import checksum
+from qdenv.generators import GENERATORS
+from qdenv.grid import checksum, inside_frame
 from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax, jnp
 from qdenv.progress import Progress, silent

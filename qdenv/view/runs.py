@@ -128,7 +128,7 @@ def draw_archives(
 
 
 def plot_run(
-    run: RunDirectory | str | Path,
+    run: RunDirectory,
     folder: Path | None = None,
     form: str = "png",
     width: float | None = None,
@@ -140,7 +140,6 @@ def plot_run(
     layout if the archive is empty. Raises InputError if the run has saved no archive yet, a file of
     it is damaged, or it ships with the package and no other folder is given.
     """
-    run = run if isinstance(run, RunDirectory) else RunDirectory.open(run)
     if folder is None:
         run.demand_own()
     schema, place = run.schema, folder or run.path

@@ -13,4 +13,4 @@ from experiments.program import run_program
 from robustness.campaign import run
 
 if __name__ == "__main__":
-    sys.exit(run_program(run, "python tests/robustness"))
+    run_program(run, "python tests/robustness")

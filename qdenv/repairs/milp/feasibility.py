@@ -12,7 +12,7 @@ import highspy
 import numpy as np
 from scipy import ndimage
 
-from qdenv.grid import MOVES, count_neighbours
+from qdenv.grid import MOVES, count_neighbours, shift
 from qdenv.progress import Progress, silent
 from qdenv.repairs.anneal.loop import LOW_PENALTY, anneal
 from qdenv.repairs.anneal.packing import draw_templates, pack
@@ -133,15 +133,23 @@ def build_free(facts: Facts, spanned: bool) -> Program:
     """Build the program in which every layout costs nothing; `spanned` with `_span`'s rows."""
     program = build(facts.any_layout, facts)
     program = program._replace(cost=np.zeros_like(program.cost), constant=0.0)
-    program = _surround(program, facts) if any(facts.widens) else program
-    return _span(program, facts) if spanned and facts.rules.connected else program
+    extends = ((_surround, any(facts.widens)), (_span, spanned and facts.rules.connected))
+    for extend in (extend for extend, needed in extends if needed):
+        more, rows = extend(program, facts)
+        program = program._replace(
+            cost=np.pad(program.cost, (0, more)),
+            upper=np.pad(program.upper, (0, more), constant_values=1.0),
+            integer=np.pad(program.integer, (0, more)),
+            rows=[*program.rows, *rows],
+        )
+    return program
 
 
-def _surround(program: Program, facts: Facts) -> Program:
+def _surround(program: Program, facts: Facts) -> tuple[int, list[Constraints]]:
     """Bound what lies beside wide aisles by their cells, see `Facts.spare_ring`.
 
     That is every obstacle which they serve, and walls and the outside where they run along them. A
-    (continuous) variable for each wall is added behind the others.
+    (continuous) variable for each wall stands behind the others: their number and the rows.
     """
     rules, first, shape = facts.rules, program.cost.size, facts.free.shape
     rule = rules.covers[facts.widens.index(True)]
@@ -157,10 +165,9 @@ def _surround(program: Program, facts: Facts) -> Program:
         program.cells.express(facts.roles_of(tiles)) for tiles in (rules.connected, served)
     )
     rows = []
-    for down, right in MOVES:
+    for move in MOVES:
         # The wall beside a cell, -1 for none: it counts once, however many cells it is beside.
-        beside = np.pad(wall, 1, constant_values=-1)[1 + down :, 1 + right :]
-        beside = beside[: shape[0], : shape[1]]
+        beside = np.asarray(shift(wall, move, -1))
         here = may & (beside >= 0)
         rows.append(at_least(drives[here], (columns[here], -own[here]), (beside[here], 1.0)))
     outside = 4 - count_neighbours(np.ones(shape, bool))
@@ -171,23 +178,17 @@ def _surround(program: Program, facts: Facts) -> Program:
     rows.append(
         at_least(least, (columns.reshape(1, -1), values), (wall[walls].reshape(1, -1), -1.0))
     )
-    more = int(walls.sum())
-    return program._replace(
-        cost=np.pad(program.cost, (0, more)),
-        upper=np.pad(program.upper, (0, more), constant_values=1.0),
-        integer=np.pad(program.integer, (0, more)),
-        rows=[*program.rows, *rows],
-    )
+    return int(walls.sum()), rows
 
 
-def _span(program: Program, facts: Facts) -> Program:
-    """Add a spanning tree and who serves whom to a program: the same layouts, a tighter relaxation.
+def _span(program: Program, facts: Facts) -> tuple[int, list[Constraints]]:
+    """State a spanning tree and who serves whom: the same layouts, a tighter relaxation.
 
     If the driving area is one piece, its n cells have a spanning tree of n - 1 edges. A side of a
     driving cell is an edge of the tree or serves one obstacle, so a part of c cells serves 2 c + 1
     obstacles at most: what `rules.impossible` counts for a whole layout, here the solver may state
-    of any part of it. Cells that always drive and hang together count as one. The rows and
-    (continuous) variables that are added stand behind the others.
+    of any part of it. Cells that always drive and hang together count as one. Returns the
+    number of (continuous) variables, which stand behind the others, and the rows.
     """
     connected = facts.rules.connected
     (height, width), first = facts.free.shape, program.cost.size
@@ -247,13 +248,7 @@ def _span(program: Program, facts: Facts) -> Program:
             at_least(-drives[start], (columns[start], own[start]), (side_edge, -1.0), (used, -1.0)),
             at_least(stands[may], (into[may], 1.0), (columns[may], -obstacle[may])),
         ]
-    more = count * (1 + 2 * len(services))
-    return program._replace(
-        cost=np.pad(program.cost, (0, more)),
-        upper=np.pad(program.upper, (0, more), constant_values=1.0),
-        integer=np.pad(program.integer, (0, more)),
-        rows=[*program.rows, *rows],
-    )
+    return count * (1 + 2 * len(services)), rows
 
 
 def _break_rings(

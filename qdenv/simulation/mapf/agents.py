@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from qdenv.grid import inside_frame
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.distances import Fields
 from qdenv.simulation.mapf.metrics import Orders
@@ -17,7 +18,6 @@ from qdenv.simulation.mapf.planner import (
     draw_goals,
     pad,
     serve,
-    unpad_grid,
 )
 
 
@@ -41,7 +41,7 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
     The others, padding, stand on cell 0, a wall. `window` timesteps are planned ahead.
     """
     # Drawn on the layout without margin: a seed gives the same starts whichever planner drives.
-    free, agents = unpad_grid(world.traversable, world.margin), active.shape[0]
+    free, agents = inside_frame(world.traversable, (world.margin, world.margin)), active.shape[0]
     bits = chance.draw(chance.draw(seed, chance.STARTS), jnp.arange(free.size))
     rank = jnp.where(free.reshape(-1), (bits >> 1).astype(jnp.int32), -1)
     rank, cells = jax.lax.top_k(rank, agents)

@@ -1,7 +1,6 @@
-"""An independent check of a recorded run: plain numpy, no code shared with the simulator but
-the goals' weights and stays.
+"""An independent check of a recorded run, in plain numpy.
 
-It walks through the trajectory once and works out by itself what must have happened: arrivals,
+X
 services, finished tasks, jams. Everything that disagrees is named.
 """
 

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.simulation.mapf.planner import NOBODY, World, unpad, unpad_grid
+from qdenv.grid import inside_frame
+from qdenv.simulation.mapf.planner import NOBODY, World, unpad
 from qdenv.types import Traffic
 
 
@@ -99,7 +100,9 @@ def summarise(world: World, outcome: Outcome, active: jax.Array, timesteps: int)
     """Turn the counts into the record that other stages read."""
     counters, orders = outcome.counters, outcome.orders
     finished = counters.finished[:timesteps]
-    visits = unpad_grid(counters.visits.reshape(world.traversable.shape), world.margin)
+    visits = inside_frame(
+        counters.visits.reshape(world.traversable.shape), (world.margin, world.margin)
+    )
     steps = jnp.maximum(counters.time * active.sum(), 1).astype(jnp.float32)
     total = finished.sum()
     return Traffic(

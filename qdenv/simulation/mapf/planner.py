@@ -191,9 +191,3 @@ def unpad(positions: Cells, cols: int, margin: int) -> Cells:
     """Translate positions of the padded grid into positions of the layout (any shape)."""
     row, column = positions // (cols + 2 * margin), positions % (cols + 2 * margin)
     return (row - margin) * cols + column - margin
-
-
-def unpad_grid(grid: Array, margin: int) -> jax.Array:
-    """Cut the walls off a padded grid ([H', W'] -> [H, W])."""
-    rows, cols = grid.shape
-    return jnp.asarray(grid)[margin : rows - margin, margin : cols - margin]
