@@ -23,7 +23,7 @@ from qdenv.simulation.mapf.settings import describe_planner
 from qdenv.study import table as studies
 from qdenv.study.plans import Plan
 from qdenv.study.plans import guide as guide_plan
-from qdenv.types import InputError, about
+from qdenv.types import InputError
 
 if TYPE_CHECKING:
     from qdenv.simulation.mapf.settings import FleetConfig
@@ -93,7 +93,7 @@ def guide(
     if not named:
         guided = guide_plan(plan, base)
         start, base = guides.start_at(guided), guided.guidance
-    with about(name):
+    with studies.about(name):
         if base is None and model is None:
             base = guides.best_base(plan, fleet)
             say(f"begins at {base}, the best of {', '.join(get_args(Base))}")

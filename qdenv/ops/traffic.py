@@ -14,10 +14,11 @@ from qdenv.ops import options as args
 from qdenv.ops.output import PICTURES, Result, Table, format_table, place, say
 from qdenv.progress import Bar
 from qdenv.simulation.mapf.settings import describe_planner
+from qdenv.study import table as studies
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import MOST_SHOWN, record_fleet
-from qdenv.types import InputError, about
+from qdenv.types import InputError
 from qdenv.view import SCREEN
 
 if TYPE_CHECKING:  # imports the simulator
@@ -70,18 +71,18 @@ def simulate(
     if tracks and agents * timesteps > MOST_SHOWN:
         most = MOST_SHOWN // agents
         raise InputError(f"--paths: of {agents} robots at most {most} timesteps are written")
-    with about(name):
+    with studies.about(name):
         fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
         config = options.config(agents, timesteps)
     # This imports the simulator: refusals are faster without it.
     from qdenv.study.traffic import examine, facts_of
 
-    stated: dict[str, Any] = {"domain": plan.domain.name, "agents": agents, "layout": name}
-    stated |= {"planner": describe_planner(config.planner), "timesteps": timesteps}
-    stated["stop"] = options.stop
+    about: dict[str, Any] = {"domain": plan.domain.name, "agents": agents, "layout": name}
+    about |= {"planner": describe_planner(config.planner), "timesteps": timesteps}
+    about["stop"] = options.stop
 
     def facts_with(study: Study) -> dict[str, Any]:
-        facts = facts_of(study, plan.layout) | stated
+        facts = facts_of(study, plan.layout) | about
         if options.per_hour:
             facts["tasks_per_hour"] = facts["mean_of_all"] * options.per_hour
         return facts
@@ -92,7 +93,7 @@ def simulate(
 
     # Whoever audits records every step anyway: maps of it cost nothing more.
     maps = audit or picture is not None
-    with about(name), Bar("simulating") as bar:
+    with studies.about(name), Bar("simulating") as bar:
         study = examine(plan, config, options.seeds, audit, maps, verdict, bar, log_runs)
     facts, judgement = facts_with(study), ""
     if "verdict" in facts:
