@@ -92,7 +92,7 @@ def extras_of(solutions, numbers=np):
 def iterate(search, state, change=lambda score: score):
     """Run one iteration with the evaluation on the host."""
     solutions, state = search.ask(state)
-    solutions = np.asarray(solutions)
+    solutions = np.array(solutions)
     return search.tell(state, solutions, change(score_of(solutions)), extras_of(solutions))
 
 

@@ -16,6 +16,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 BASE = {"types", "ranges", "grid", "guidance", "io", "lazy", "interrupt", "stats", "progress"}
 STAGES = {"generators", "nca", "racks", "repairs", "simulation", "score"}
 PLUGS = {"registry", "devices"}
+COMMON = BASE | STAGES | PLUGS
 ALLOWED = {
     "lazy": set(),
     "types": {"lazy"},
@@ -37,7 +38,7 @@ ALLOWED = {
     "simulation": {"types", "ranges", "grid", "guidance", "lazy", "native", "io"} | PLUGS,
     "score": {"types", "grid", "lazy"},
     "agent": BASE | {"simulation.maze", "score", "devices"},
-    "domains": BASE | STAGES | PLUGS,
+    "domains": COMMON,
     "settings": STAGES | {"types", "ranges", "domains.base"},
     "mesh": set(),
     "pipeline": BASE | STAGES | {"domains.base", "devices", "mesh", "settings"},
@@ -45,34 +46,15 @@ ALLOWED = {
     "search": {"types", "ranges", "lazy", "io", "registry", "surrogates"},
     "shipped": {"types", "io"},
     "configurations": BASE | STAGES | {"domains", "search", "settings", "surrogates", "run.config"},
-    "run": BASE
-    | STAGES
-    | PLUGS
+    "run": COMMON
     | {"search", "pipeline", "settings", "domains", "view.archive", "view.layouts"}
     | {"mesh", "shipped", "configurations"},
-    "study": BASE
-    | STAGES
-    | PLUGS
+    "study": COMMON
     | {"agent", "domains", "pipeline", "settings", "surrogates", "run", "search", "shipped"},
-    "view": BASE
-    | STAGES
-    | PLUGS
-    | {"agent", "domains", "search.registry", "study", "run", "shipped"},
-    "ops": BASE
-    | STAGES
-    | PLUGS
-    | {
-        "agent",
-        "domains",
-        "view",
-        "configurations",
-        "search",
-        "settings",
-        "study",
-        "surrogates",
-        "run",
-        "shipped",
-    },
+    "view": COMMON | {"agent", "domains", "search.registry", "study", "run", "shipped"},
+    "ops": COMMON
+    | {"agent", "domains", "view", "configurations", "search", "settings"}
+    | {"study", "surrogates", "run", "shipped"},
     "cli": BASE
     | PLUGS
     | {"domains", "ops", "configurations", "run", "search", "simulation", "study", "shipped"}

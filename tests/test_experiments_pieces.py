@@ -48,7 +48,7 @@ def test_every_script_of_a_figure_or_table_is_an_experiment_that_says_what_it_sh
 
 
 def test_what_ships_is_redrawn_to_the_tables_that_ship(tmp_path):
-    folders = Folders(RESULTS, tmp_path)
+    folders, redrawn = Folders(RESULTS, tmp_path), set()
     for name in names():
         found = find(name)
         if found.drawable(folders):
@@ -57,6 +57,8 @@ def test_what_ships_is_redrawn_to_the_tables_that_ship(tmp_path):
             if drawn.lines:
                 shipped = (RESULTS / f"{name}.md").read_text()
                 assert "\n".join(drawn.lines) + "\n" == shipped, name
+                redrawn.add(name)
+    assert redrawn == {path.stem for path in RESULTS.glob("*.md")}
 
 
 def test_a_summary_holds_the_numbers_of_the_archive(small_run, tmp_path):

@@ -8,6 +8,7 @@ import time
 
 import pytest
 from conftest import SMALL
+from robustness.sandbox import start
 
 from qdenv.run.directory import RunDirectory
 
@@ -47,9 +48,7 @@ write_atomically(Path("out.json"), content)
 )
 def test_it_ends_compiled_code_and_leaves_no_half_written_file(tmp_path, number, signals):
     script = BUSY.format(advice="`qdenv resume runs/a` goes on", nogil=True)
-    work = subprocess.Popen(
-        [sys.executable, "-c", script], stdout=-1, stderr=-1, text=True, cwd=tmp_path
-    )
+    work = start(["-c", script], tmp_path, "0")
     assert work.stdout.readline() == "ready\n"
     assert len(list(tmp_path.iterdir())) == 1  # what is being written, under another name
     for _ in range(signals):
@@ -102,9 +101,7 @@ time.sleep(600)
 @pytest.mark.parametrize(("seconds", "signals", "saved"), [(0.2, 1, True), (600, 2, False)])
 def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, signals, saved):
     script = UNSAVED.format(seconds=seconds)
-    work = subprocess.Popen(
-        [sys.executable, "-c", script], stdout=-1, stderr=-1, text=True, cwd=tmp_path
-    )
+    work = start(["-c", script], tmp_path, "0")
     assert work.stdout.readline() == "ready\n"
     work.send_signal(signal.SIGTERM)
     said = work.stderr.readline() + work.stderr.readline()
@@ -132,9 +129,7 @@ sys.exit(cli.run(sys.argv[1:]))
 def test_a_search_that_is_terminated_keeps_its_last_iteration(tmp_path):
     options = SMALL.replace("--evaluations 6", "--evaluations 6000").split()
     command = ["train", "quick", "--out", "run", "--checkpoint-every", "1000", *options]
-    work = subprocess.Popen(
-        [sys.executable, "-c", RUN, *command], cwd=tmp_path, stdout=-1, stderr=-1, text=True
-    )
+    work = start(["-c", RUN, *command], tmp_path, "0")
     metrics = tmp_path / "run" / "metrics.csv"
     while not metrics.exists() or metrics.read_text().count("\n") < 3:
         assert work.poll() is None

@@ -2,7 +2,6 @@
 
 import io
 import pickle
-import struct
 import time
 import tracemalloc
 import zipfile
@@ -11,6 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from robustness.corrupt import pickle_tensor, pickle_text
 
 from qdenv.agent.convert import from_torch, read_checkpoint
 from qdenv.ops.networks import convert_agent
@@ -18,31 +18,6 @@ from qdenv.simulation.maze.policy import Weights, load_weights
 from qdenv.types import InputError
 
 DATA = Path(__file__).parent / "data" / "maze"
-
-
-def text(value: str) -> bytes:
-    """Pickle a string."""
-    raw = value.encode()
-    return b"X" + struct.pack("<I", len(raw)) + raw
-
-
-def number(value: int) -> bytes:
-    """Pickle a 32-bit integer."""
-    return b"J" + struct.pack("<i", value)
-
-
-def numbers(values: tuple[int, ...]) -> bytes:
-    """Pickle a tuple of integers."""
-    return b"(" + b"".join(map(number, values)) + b"t"
-
-
-def tensor(key: str, count: int, size: tuple, stride: tuple, storage: str = "FloatStorage"):
-    """Pickle a tensor the way torch.save does: rebuild(storage, offset, size, stride, ...)."""
-    pid = b"(" + text("storage") + f"ctorch\n{storage}\n".encode()
-    pid += text(key) + text("cpu") + number(count) + b"tQ"
-    flags = b"\x89" + b"ccollections\nOrderedDict\n)R"
-    rebuild = b"ctorch._utils\n_rebuild_tensor_v2\n"
-    return rebuild + b"(" + pid + number(0) + numbers(size) + numbers(stride) + flags + b"tR"
 
 
 def steps(array: np.ndarray) -> tuple[int, ...]:
@@ -64,10 +39,10 @@ def checkpoint(path: Path, tensors: dict[str, np.ndarray], wrapper: str = "") ->
     """Write tensors as torch.save would."""
     body = b"ccollections\nOrderedDict\n)R("
     for key, (name, array) in enumerate(tensors.items()):
-        body += text(name) + tensor(str(key), array.size, array.shape, steps(array))
+        body += pickle_text(name) + pickle_tensor(array.shape, steps(array), str(key), array.size)
     body += b"u"
     if wrapper:
-        body = b"}" + text(wrapper) + body + b"s"
+        body = b"}" + pickle_text(wrapper) + body + b"s"
     raws = {str(key): array.tobytes() for key, array in enumerate(tensors.values())}
     return write(path, b"\x80\x02" + body + b".", raws)
 
@@ -102,7 +77,7 @@ def test_hostile_pickles_are_refused_and_run_nothing(tmp_path):
         b"cbuiltins\ngetattr\n(ctorch._utils\n_rebuild_tensor_v2\nS'__globals__'\ntR.",
         b"ctorch\nload\n.",
         b"ctorch._utils\n_rebuild_tensor_v2\n(K\x01K\x00)))tR.",
-        b"\x80\x02" + tensor("0", 1, (1,), (1,), "DoubleStorage") + b".",
+        b"\x80\x02" + pickle_tensor((1,), (1,), "0", 1, "DoubleStorage") + b".",
         b"ccollections\nOrderedDict\n)\x81}S'__class__'\ncos\nsystem\nsb.",
     ]
     pickle.loads(harmful[0])
@@ -127,7 +102,7 @@ def test_hostile_pickles_are_refused_and_run_nothing(tmp_path):
     ids=["long", "wide", "backwards", "ragged", "huge", "cut", "negative"],
 )
 def test_tensors_outside_their_storage_are_refused(tmp_path, count, size, stride, raw):
-    pickled = b"\x80\x02}" + text("a") + tensor("0", count, size, stride) + b"s."
+    pickled = b"\x80\x02}" + pickle_text("a") + pickle_tensor(size, stride, "0", count) + b"s."
     with pytest.raises(InputError):
         read_checkpoint(write(tmp_path / "bad.tar", pickled, {"0": b"\0" * raw}))
 
@@ -141,12 +116,12 @@ HOSTILE = {
     "deeper than any": b")" + b"\x85" * 2_000_000 + b"K\x01s.",
     "doubled key": b"}" + DOUBLED + b"K\x01s.",
     "doubled pid": DOUBLED + b"Q.",
-    "attributes of the class": DICTIONARY + b"}" + text("zzz") + b"K\x01sb0.",
+    "attributes of the class": DICTIONARY + b"}" + pickle_text("zzz") + b"K\x01sb0.",
     "attributes of the builder": b"ctorch._utils\n_rebuild_tensor_v2\n}"
-    + text("__defaults__") + b")sb.",
+    + pickle_text("__defaults__") + b")sb.",
     "newline and escape": b"c" + b"a\x1b[31m\n" + b"b\x1b]0;c\x07\n.",
-    "key of escapes": b"}" + text("a") + tensor("\x1b[2J\r", 4, (4,), (1,)) + b"s.",
-    "stretched": b"}" + text("a") + tensor("0", 4, (2**29,), (0,)) + b"s.",
+    "key of escapes": b"}" + pickle_text("a") + pickle_tensor((4,), (1,), "\x1b[2J\r", 4) + b"s.",
+    "stretched": b"}" + pickle_text("a") + pickle_tensor((2**29,), (0,), "0", 4) + b"s.",
     "endless": b"0" * 200_000,
     "too many": b"N" * 200_000 + b".",
     "no end": b"}",
@@ -169,14 +144,16 @@ def test_attributes_of_a_dictionary_change_nothing(state, tmp_path, tensors):
     with zipfile.ZipFile(whole) as archive:
         pickled = archive.read("model/data.pkl")
         raws = {str(key): archive.read(f"model/data/{key}") for key in range(len(tensors))}
-    built = pickled[:-1] + b"}" + text(state) + b"K\x01sb."
+    built = pickled[:-1] + b"}" + pickle_text(state) + b"K\x01sb."
     found = read_checkpoint(write(tmp_path / "built.tar", built, raws))
     assert found.keys() == tensors.keys()
 
 
 def test_a_storage_that_is_asked_for_often_is_held_once(tmp_path):
     raw = 8 * 2**20
-    body = b"".join(text(f"t{n}") + tensor("0", raw // 4, (raw // 4,), (1,)) for n in range(40))
+    body = b"".join(
+        pickle_text(f"t{n}") + pickle_tensor((raw // 4,), (1,), "0", raw // 4) for n in range(40)
+    )
     path = write(tmp_path / "big.tar", b"\x80\x02}(" + body + b"u.", {"0": bytes(raw)})
     tracemalloc.start()
     found = read_checkpoint(path)

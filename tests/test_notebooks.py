@@ -54,15 +54,12 @@ def test_notebook_runs(path, tmp_path):
 def test_a_notebook_is_stored_with_its_outputs_and_names_no_machine(path):
     text = path.read_text()
     assert len(text) < LARGEST
-    assert count(nbformat.read(path, as_version=4), "<img") >= PICTURES[path.stem]
+    notebook = nbformat.read(path, as_version=4)
+    assert count(notebook, "<img") >= PICTURES[path.stem]
+    first = next(cell for cell in notebook.cells if cell.cell_type == "code")
+    assert first.source == STORE["INSTALL"]  # the one way to install it
     words = re.sub(r'"image/png": ".*?"|base64,[^"]*', "", text)
     assert not re.findall(r"/(?:tmp|home|root|work)/", words)
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_installs_qdenv_the_one_way(path):
-    first = next(c for c in nbformat.read(path, as_version=4).cells if c.cell_type == "code")
-    assert first.source == STORE["INSTALL"]
 
 
 @pytest.mark.parametrize(

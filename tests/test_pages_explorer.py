@@ -22,7 +22,7 @@ from qdenv.view.guidance import pack_arrows, preferences
 
 pytestmark = pytest.mark.slow
 
-READY = "body[data-ready]"
+READY = "document.body.dataset.ready !== undefined"
 QUICK = ["--agents", "4", "--timesteps", "10", "--seeds", "1", "--planner", "pibt"]
 PIXELS = """row => {
   const box = byId("plot").getBoundingClientRect();
@@ -56,8 +56,7 @@ def page_file(small_run, tmp_path_factory):
 
 @pytest.fixture
 def shown(page_file):
-    with opened(page_file) as page:
-        page.wait_for_selector(READY)
+    with opened(page_file, ready=READY) as page:
         yield page
 
 
@@ -238,8 +237,7 @@ def test_what_is_saved_is_a_layout_file_and_the_command_makes_it_again(shown, sm
 
 def test_growth_that_is_not_in_the_page_is_named_with_the_command_that_adds_it(small_run, tmp_path):
     elites = len(small_run.archive)
-    with opened(explored(small_run, tmp_path, growth=1)) as page:
-        page.wait_for_selector(READY)
+    with opened(explored(small_run, tmp_path, growth=1), ready=READY) as page:
         assert page.inner_text("#growth-note") == ""  # the best is always among them
         other = page.evaluate("state.pins[0] === 0 ? 1 : 0")
         point(page, other, click=True)
@@ -259,8 +257,7 @@ def test_growth_that_ends_otherwise_than_in_the_run_says_so(small_run, tmp_path)
         return columns | {"unrepaired": drawn}
 
     run = changed_run(small_run, tmp_path / "run", columns=turned)
-    with opened(explored(run, tmp_path)) as page:
-        page.wait_for_selector(READY)
+    with opened(explored(run, tmp_path), ready=READY) as page:
         assert page.inner_text("#growth-note").endswith("otherwise than in the run, in 3 cells.")
 
 
@@ -269,8 +266,7 @@ def test_a_run_that_searched_tiles_says_that_nothing_grew(small_run, tmp_path):
         config["evaluation"]["generator"] = {"name": "direct"}
 
     run = changed_run(small_run, tmp_path / "run", config=direct)
-    with opened(explored(run, tmp_path)) as page:
-        page.wait_for_selector(READY)
+    with opened(explored(run, tmp_path), ready=READY) as page:
         assert page.inner_text("#growth-note").endswith("tiles themselves: nothing grew.")
         assert page.is_hidden("#play") and page.is_visible("#repaired")
 
@@ -284,8 +280,7 @@ def test_an_archive_of_one_measure_is_a_strip(small_run, tmp_path):
     run = changed_run(
         small_run, tmp_path / "run", lambda one: one["measures"].pop(), columns=first_axis
     )
-    with opened(explored(run, tmp_path)) as page:
-        page.wait_for_selector(READY)
+    with opened(explored(run, tmp_path), ready=READY) as page:
         assert page.evaluate("byId('plot').data[0].z.length") == 1
         last = len(run.archive) - 1
         point(page, last, click=page.evaluate("state.pins[0]") != last)
@@ -372,8 +367,7 @@ def test_guidance_lies_on_layouts_of_elites_that_drew_costs(small_run, page_file
     run = changed_run(
         small_run, tmp_path / "run", None, change, lambda old: {**old, "solution": solutions}
     )
-    with opened(explored(run, tmp_path, growth=0)) as page:
-        page.wait_for_selector(READY)
+    with opened(explored(run, tmp_path, growth=0), ready=READY) as page:
         for row in range(elites):
             costs = generator.guide(solutions[row], generator.steps, layouts[row], None)
             free = layouts[row] != archive.schema.tiles.index("@")

@@ -14,7 +14,7 @@ from qdenv.io.files import write_csv
 from qdenv.run import loop
 from qdenv.run.directory import METRICS, Metrics, RunDirectory
 from qdenv.study.groups import band_of, group_runs, tell_apart
-from qdenv.types import InputError, Measure
+from qdenv.types import Measure
 from qdenv.view.runs import draw_archives, draw_progress
 
 pytestmark = pytest.mark.slow
@@ -123,8 +123,3 @@ def test_plot_draws_several_runs_into_a_folder_in_the_format_that_is_asked_for(
     assert 'width="252pt"' in Path("plots-2/progress.svg").read_text()
     assert qdenv(["plot", paths[0], "--out", "one", "--format", "pdf"]) == 0
     assert {path.suffix for path in Path("one").iterdir()} == {".pdf"}
-
-
-def test_runs_of_different_objectives_are_not_drawn_together(runs):
-    with pytest.raises(InputError, match="have different objectives"):
-        group_runs([runs[0], RunDirectory.open("zoo:maze-walls/best")])

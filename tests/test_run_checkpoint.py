@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_harness import DIM, EXTRAS, GRID, extras_of, score_of
+from search_harness import DIM, EXTRAS, GRID, iterate
 
 from qdenv.io.arrays import PIECE
 from qdenv.run.checkpoint import load_newest, save_checkpoint
@@ -22,14 +22,6 @@ SEARCHES = {
     "cma_mae": CmaMaeConfig(emitters=2, batch=6),
     "map_elites": MapElitesConfig(emitters=2, batch=6, sigma_iso=0.3),
 }
-
-
-def go_on(search, state, iterations):
-    for _ in range(iterations):
-        solutions, state = search.ask(state)
-        solutions = np.array(solutions)
-        state = search.tell(state, solutions, score_of(solutions), extras_of(solutions))
-    return state
 
 
 def test_every_bit_comes_back(tmp_path):
@@ -69,7 +61,7 @@ def test_writing_copies_pieces_and_never_a_whole_array(tmp_path):
 def test_a_checkpoint_of_another_search_is_refused_in_one_line(tmp_path):
     make = lambda config, dim, grid: growing(make_algorithm(config, Problem(dim, grid, EXTRAS)))  # noqa: E731
     search = make(SEARCHES["cma_mae"], DIM, GRID)
-    save_checkpoint(tmp_path, 1, go_on(search, search.init(jax.random.key(0)), 1), {})
+    save_checkpoint(tmp_path, 1, iterate(search, search.init(jax.random.key(0))), {})
     coarse = (Measure("x", -1, 1, 4), GRID[1])
     for config, dim, grid in (
         (SEARCHES["map_elites"], DIM, GRID),

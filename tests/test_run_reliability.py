@@ -39,13 +39,7 @@ def whole(tmp_path_factory) -> RunDirectory:
 @pytest.fixture
 def run(whole, tmp_path) -> RunDirectory:
     """Copy the finished run, to be damaged."""
-    copy = tmp_path / "copy"
-    for source in whole.path.rglob("*"):
-        if source.is_file():
-            target = copy / source.relative_to(whole.path)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(source.read_bytes())
-    return RunDirectory.open(copy)
+    return RunDirectory.open(shutil.copytree(whole.path, tmp_path / "copy"))
 
 
 @pytest.mark.parametrize("lost", ["archive.npz", "best_layout.json"])

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_harness import CONFIGS, EXTRAS, GRID, PROBLEM, extras_of, score_of
+from search_harness import CONFIGS, EXTRAS, GRID, PROBLEM, extras_of, iterate, score_of
 
 from qdenv.search import base
 from qdenv.search.archive import GridArchive
@@ -22,9 +22,7 @@ SEARCHES = {name: CONFIGS[name] for name in ("cma-mae", "cma-me", "random")} | {
 def search(algorithm, iterations):
     state = algorithm.init(jax.random.key(2))
     for _ in range(iterations):
-        solutions, state = algorithm.ask(state)
-        solutions = np.array(solutions)
-        state = algorithm.tell(state, solutions, score_of(solutions), extras_of(solutions))
+        state = iterate(algorithm, state)
     return state
 
 

@@ -226,8 +226,6 @@ def test_too_few_elites_are_refused_in_one_line(tmp_path, capsys, monkeypatch):
     said = capsys.readouterr()
     assert "at least 50 elites, this archive has 49" in said.err and said.err.count("\n") == 1
     assert said.out == "" and not list(tmp_path.glob("*.*"))
-    with pytest.raises(InputError, match="at least 50 elites"):
-        qdenv.surrogate(run)
 
 
 def test_from_python_a_surrogate_is_a_function(run, trials):

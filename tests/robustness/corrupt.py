@@ -194,10 +194,12 @@ def pickle_text(value: str) -> bytes:
     return b"X" + struct.pack("<I", len(raw)) + raw
 
 
-def pickle_tensor(size: tuple, stride: tuple, key: str = "0", count: int = 4) -> bytes:
+def pickle_tensor(
+    size: tuple, stride: tuple, key: str = "0", count: int = 4, storage: str = "FloatStorage"
+) -> bytes:
     """Pickle a tensor as `torch.save` does: rebuild(storage, offset, size, stride, ...)."""
-    pid = b"(" + pickle_text("storage") + b"ctorch\nFloatStorage\n" + pickle_text(key)
-    pid += pickle_text("cpu") + b"J" + struct.pack("<i", count) + b"tQ"
+    pid = b"(" + pickle_text("storage") + f"ctorch\n{storage}\n".encode()
+    pid += pickle_text(key) + pickle_text("cpu") + b"J" + struct.pack("<i", count) + b"tQ"
     shapes = b"".join(
         b"(" + b"".join(b"J" + struct.pack("<i", one) for one in numbers) + b"t"
         for numbers in (size, stride)
