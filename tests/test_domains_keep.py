@@ -16,7 +16,7 @@ from qdenv.repairs.recipe import repair_layout
 from qdenv.repairs.rules import impossible
 from qdenv.repairs.settings import RepairConfig
 from qdenv.run import loop
-from qdenv.run.config import config_from_json, config_to_json
+from qdenv.run.config import config_from_json, config_to_json, override
 from qdenv.study.plans import keep_from
 from qdenv.types import InputError
 
@@ -124,22 +124,15 @@ def test_kept_stations_count_as_empty_in_the_entropy():
 
 
 def run_config(name, tmp_path):
-    preset = PRESETS["quick" if name == "warehouse-even" else "manufacturing-quick"]
-    numbers = {"shelves": 8} if name == "warehouse-even" else {}
-    fleet = dataclasses.replace(preset.evaluation.domain.fleet, agents=4, timesteps=20)
-    domain = dataclasses.replace(preset.evaluation.domain, rows=9, cols=12, fleet=fleet, **numbers)
-    generator = dataclasses.replace(preset.evaluation.generator, steps=6, hidden=4)
-    evaluation = dataclasses.replace(
-        preset.evaluation, domain=domain, generator=generator, simulations=1
-    )
-    algorithm = dataclasses.replace(preset.algorithm, emitters=1, batch=6)
-    config = dataclasses.replace(preset, evaluation=evaluation, evaluations=12, algorithm=algorithm)
+    even = name == "warehouse-even"
+    small = {"agents": 4, "timesteps": 20, "rows": 9, "cols": 12} | ({"shelves": 8} if even else {})
+    short = {"steps": 6, "hidden": 4, "simulations": 1, "emitters": 1, "batch": 6}
+    preset = PRESETS["quick" if even else "manufacturing-quick"]
+    config = override(preset, small | short | {"evaluations": 12})
     path = tmp_path / "keep.txt"
     path.write_text("\n".join(DRAWINGS[name]) + "\n")
-    kept = keep_from(path, make_domain(evaluation.domain))
-    return dataclasses.replace(
-        config, evaluation=dataclasses.replace(evaluation, domain=kept.config)
-    )
+    kept = keep_from(path, make_domain(config.evaluation.domain))
+    return override(config, {"keep": kept.config.keep})
 
 
 @pytest.mark.slow

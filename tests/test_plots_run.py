@@ -14,6 +14,7 @@ from qdenv.domains.base import find_domain, make_domain
 from qdenv.grid import parse
 from qdenv.run import loop
 from qdenv.run.archive import best_row
+from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory
 from qdenv.simulation.maze.world import longest_path
 from qdenv.types import Measure
@@ -51,17 +52,10 @@ def test_fleets_say_throughput_and_mazes_whether_there_is_a_way():
 @pytest.fixture(scope="module")
 def maze(tmp_path_factory) -> RunDirectory:
     """Search mazes for one iteration; nearly every one is solvable."""
-    preset = PRESETS["maze-quick"]
-    evaluation = replace(
-        preset.evaluation,
-        domain=replace(preset.evaluation.domain, rows=9, cols=9, timesteps=40),
-        generator=replace(preset.evaluation.generator, steps=8, hidden=4),
-        simulations=2,
-    )
-    config = replace(
-        preset, evaluation=evaluation, evaluations=12, archive=((0, 49, 14), (0, 40, 8)),
-        algorithm=replace(preset.algorithm, emitters=2, batch=6, sigma0=0.7),
-    )  # fmt: skip
+    small = {"rows": 9, "cols": 9, "timesteps": 40, "steps": 8, "hidden": 4, "simulations": 2}
+    short = {"evaluations": 12, "emitters": 2, "batch": 6, "sigma0": 0.7}
+    changes = small | short | {"archive": ((0, 49, 14), (0, 40, 8))}
+    config = override(PRESETS["maze-quick"], changes)
     return loop.train(config, tmp_path_factory.mktemp("maze") / "run", progress=False)
 
 

@@ -1,7 +1,6 @@
 """Configurations: to JSON and back for every preset, one line for every mistake."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +8,6 @@ import pytest
 from qdenv.configurations import PRESETS
 from qdenv.run.config import config_from_json, config_to_json, override
 from qdenv.run.directory import Metrics, RunDirectory
-from qdenv.simulation.mapf.fleet import FleetConfig
 from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.types import InputError
@@ -46,10 +44,7 @@ def test_settings_that_older_files_lack_are_what_held_then():
     ],
 )
 def test_another_planner_returns_from_json(settings, said):
-    preset = PRESETS["quick"]
-    fleet = FleetConfig(agents=3, planner=settings)
-    domain = replace(preset.evaluation.domain, fleet=fleet)
-    config = replace(preset, evaluation=replace(preset.evaluation, domain=domain))
+    config = override(PRESETS["quick"], {"agents": 3, "planner": settings})
     content = config_to_json(config)
     planner = content["evaluation"]["domain"]["fleet"]["planner"]
     assert planner.items() >= said.items()

@@ -12,7 +12,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -23,28 +22,19 @@ import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
 import qdenv
-from qdenv.domains.maze import MazeConfig
 from qdenv.io.files import LOCK
 from qdenv.run import loop
+from qdenv.run.config import override
 from qdenv.search.settings import CmaMaeConfig
 from robustness.campaign import Attack, Attempt
 from robustness.faulty_disk import DeathError, FaultyDisk, Kind
 
 MOST_TROUBLES = 6  # in a row, until the run is left in peace
 # Five iterations of two mazes: the writing is attacked, whatever is searched.
-CONFIG = replace(
-    qdenv.find_preset("maze-quick"),
-    evaluation=replace(
-        qdenv.find_preset("maze-quick").evaluation,
-        domain=MazeConfig(rows=6, cols=6, timesteps=40),
-        generator=qdenv.NcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4),
-        simulations=2,
-    ),
-    algorithm=CmaMaeConfig(emitters=1, batch=2),
-    evaluations=10,
-    archive=((0, 16, 8), (0, 40, 8)),
-    checkpoint_every=2,
-)
+SMALL = {"rows": 6, "cols": 6, "timesteps": 40, "steps": 4, "kernel_sizes": (3, 1), "hidden": 4}
+SHORT = {"simulations": 2, "algorithm": CmaMaeConfig(emitters=1, batch=2), "evaluations": 10}
+AXES = {"archive": ((0, 16, 8), (0, 40, 8)), "checkpoint_every": 2}
+CONFIG = override(qdenv.find_preset("maze-quick"), SMALL | SHORT | AXES)
 KINDS: tuple[Kind, ...] = ("death", "death", "death", "full disk", "failure")
 # The same with more iterations.
 OPTIONS = (
