@@ -28,7 +28,7 @@ class Rule(NamedTuple):
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
     """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
-    best = "of those tried that flow at the largest size under both planners, moved most"
+    best = "of those that flow at the largest size under both planners, moved most in a trial"
     regular = f"one of the best regular ones with few {noun}"
     clean = "chosen by similarity to its drawing, as the search measures it"
     return (

@@ -179,7 +179,7 @@ def test_the_page_states_table_4_and_how_its_rows_compare():
         more = score[run] / score[f"{run}-map-elites"]
         theirs = TABLE_4[run, "cma-mae"].qd_score / TABLE_4[run, "map-elites"].qd_score
         assert f"CMA-MAE has {more:.1f} times its QD-score (paper {theirs:.1f} times)" in PAGE
-    for domain in FLEETS[:2]:
+    for domain in FLEETS:
         run = f"{domain}-cma-es"
         early, best = score_after(run, 4000) / score[run], numbers(run, "objective").max()
         text = f"{100 * early:.0f} % of it after 4,000 evaluations, the best moves {best:.3f}"
