@@ -92,7 +92,7 @@ def smooth_logarithms(numbers: Array, shape: tuple[int, ...], base: str) -> jax.
 
 
 def unscaled_costs(fixed: np.ndarray, traversable: np.ndarray) -> np.ndarray:
-    """Turn whole costs (int32 [5, H, W]) into costs of which the average is about one.
+    """Turn whole costs (int32 [5, H, W]) into costs in units of 64.
 
     Returns float [5, H, W], infinite for moves that do not exist or are not allowed.
     """

@@ -1,9 +1,9 @@
 """The arguments that operations share, each with its type in Python and its form on command lines.
 
 A type is `Annotated` where the command line reads it in a form of its own. What an option stands
-for depends on a choice in the same command line at three places: the settings of the chosen
-planner, of the chosen preset, and the numbers of tiles of the chosen domain. Their types are
-marked here (`Mark`, `PlannerOptions`), `qdenv.cli.rules` resolves them.
+for depends on a choice in the same command line at four places: the settings of the chosen
+planner, of the chosen preset, the numbers of tiles and the tasks of the chosen domain. Their types
+are marked here (`Mark`, `PlannerOptions`, `TaskOptions`), `qdenv.cli.rules` resolves them.
 """
 
 from __future__ import annotations

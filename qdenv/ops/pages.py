@@ -230,8 +230,8 @@ def report(
 ) -> Page:
     """Make a page to send or print: which floor plan moves more, by how much, where robots wait.
 
-    Further layouts are compared with the first one. A single layout is also compared with what
-    people draw by hand at its size, if both have the same stations.
+    Further layouts are compared with the first one, and each with what people draw by hand at its
+    size, if both have the same stations.
 
     Args:
         sources: layout files, and runs or zoo:DOMAIN/NAME, whose best layout is reported on.

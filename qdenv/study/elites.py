@@ -1,4 +1,4 @@
-"""Layouts of any size: grown by an elite of a run (E.3), designed by hand, tiled (E.4)."""
+"""Layouts of any size: grown by an elite of a run (E.3), tiled (E.4)."""
 
 from __future__ import annotations
 
