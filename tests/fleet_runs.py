@@ -6,24 +6,16 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from robustness.fleets import tasks_of
 
 from qdenv.registry import Entry
 from qdenv.simulation.mapf import fleet
 from qdenv.simulation.mapf.audit import audit
-from qdenv.simulation.mapf.goals import check_playable, tile_goal
 from qdenv.simulation.mapf.planner import Planner
 from qdenv.simulation.mapf.settings import PLANNERS
-from qdenv.types import InputError, TaskRule, Traffic
+from qdenv.types import TaskRule, Traffic
 
-TILES = ".#ew"
-PLAIN = TaskRule(TILES, ".ew", (tile_goal("e", TILES), tile_goal("w", TILES)))
-# Kinds without a service, with a short one and with one longer than a window in one cycle.
-SERVICES = TaskRule(
-    TILES,
-    ".ew",
-    tuple(tile_goal("ewew"[kind], TILES, stay) for kind, stay in enumerate((0, 2, 11, 0))),
-)
-SHAPE = (12, 13)
+PLAIN, SERVICES = tasks_of("plain"), tasks_of("services")
 AGENTS, TIMESTEPS = 64, 203  # T is no multiple of the replanning period on purpose
 CONFIG = fleet.FleetConfig(agents=AGENTS, timesteps=TIMESTEPS, stop_when_congested=False)
 
@@ -33,17 +25,6 @@ def programs(rule: TaskRule, config: fleet.FleetConfig) -> tuple[Callable, Calla
     prepare = jax.jit(lambda layout: fleet.prepare(layout, rule, config))
     run = jax.jit(lambda world, key, agents: fleet.record(world, key, config, agents))
     return prepare, run
-
-
-def random_layout(rng: np.random.Generator, walls: float) -> np.ndarray:
-    """Draw a connected layout with both kinds of goal (int8 [12, 13])."""
-    while True:
-        layout = rng.choice(4, SHAPE, p=[0.8 - walls, walls, 0.12, 0.08]).astype(np.int8)
-        try:
-            check_playable(layout, PLAIN, 1)
-        except InputError:
-            continue
-        return layout
 
 
 def run_audited(

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fleet_runs import AGENTS, PLAIN, SERVICES, SHAPE, programs, random_layout
+from fleet_runs import AGENTS, PLAIN, SERVICES, programs
 from jax import export
+from robustness.fleets import SHAPE, random_layout
 
 from qdenv.domains.base import find_domain
 from qdenv.simulation.mapf import fleet

@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fleet_runs import PLAIN, TILES, StandConfig, programs, random_layout, run_audited
+from fleet_runs import PLAIN, StandConfig, programs, run_audited
+from robustness.fleets import TILES, random_layout
 
 from qdenv.grid import parse
 from qdenv.simulation.mapf import fleet

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fleet_runs import PLAIN, SERVICES, TILES, programs, random_layout
+from fleet_runs import PLAIN, SERVICES, programs
+from robustness.fleets import TILES, random_layout
 
 from qdenv.grid import MOVES, parse
 from qdenv.simulation.mapf.audit import check_moves, replay_tasks

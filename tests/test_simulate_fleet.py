@@ -13,14 +13,12 @@ from fleet_runs import (
     CONFIG,
     PLAIN,
     SERVICES,
-    SHAPE,
-    TILES,
     TIMESTEPS,
     StandConfig,
     programs,
-    random_layout,
     run_audited,
 )
+from robustness.fleets import SHAPE, TILES, random_layout
 
 from qdenv.grid import parse
 from qdenv.registry import Entry

@@ -8,7 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from fleet_runs import PLAIN, SERVICES, random_layout
+from fleet_runs import PLAIN, SERVICES
+from robustness.fleets import random_layout
 
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import read_layout

@@ -63,23 +63,44 @@ def tasks_of(rule: str) -> TaskRule:
     return TaskRule(TILES, ".ew", tuple(goals))
 
 
+def random_layout(rng: np.random.Generator, walls: float) -> np.ndarray:
+    """Draw a connected layout with both kinds of goal (int8 [12, 13])."""
+    while True:
+        layout = rng.choice(4, SHAPE, p=[0.8 - walls, walls, 0.12, 0.08]).astype(np.int8)
+        try:
+            check_playable(layout, tasks_of("plain"), 1)
+        except qdenv.InputError:
+            continue
+        return layout
+
+
+def random_costs(rng: np.random.Generator, free: np.ndarray, one_way: float) -> np.ndarray:
+    """Draw costs of moves, some of them one way, by which all cells still reach all others."""
+    while True:
+        costs = rng.uniform(0.3, 3, (NUM_MOVES, *free.shape))
+        costs[1:][rng.random(costs[1:].shape) < one_way] = np.inf
+        try:
+            fixed_costs(costs, free)
+        except qdenv.InputError:
+            one_way /= 2
+            continue
+        return costs
+
+
 def draw_layout(rng: np.random.Generator, rule: str) -> np.ndarray:
     """Draw a layout (int8 [H, W]) with every goal: random walls, or a repaired one of a domain."""
+    if rule not in DOMAINS:
+        return random_layout(rng, rng.uniform(0, 0.35))
+    domain = qdenv.find_domain(rule).resized(*DOMAIN_SHAPE)
+    assert domain.rules is not None
     while True:
-        if rule in DOMAINS:
-            domain = qdenv.find_domain(rule).resized(*DOMAIN_SHAPE)
-            assert domain.rules is not None
-            odds = rng.dirichlet(np.ones(len(domain.generated)))
-            inside = rng.choice(len(domain.generated), domain.generated_shape, p=odds)
-            layout, seed = domain.frame(inside.astype(np.int8)), int(rng.integers(1 << 30))
-            repair = repair_layout(np.asarray(layout), domain.rules(), seed, RepairConfig("none"))
-            if int(repair.status) >= RepairStatus.IMPOSSIBLE:
-                continue
-            layout = np.asarray(repair.layout)
-        else:
-            walls = rng.uniform(0, 0.35)
-            drawn = rng.choice(4, SHAPE, p=[0.8 - walls, walls, 0.12, 0.08])
-            layout = drawn.astype(np.int8)
+        odds = rng.dirichlet(np.ones(len(domain.generated)))
+        inside = rng.choice(len(domain.generated), domain.generated_shape, p=odds)
+        layout, seed = domain.frame(inside.astype(np.int8)), int(rng.integers(1 << 30))
+        repair = repair_layout(np.asarray(layout), domain.rules(), seed, RepairConfig("none"))
+        if int(repair.status) >= RepairStatus.IMPOSSIBLE:
+            continue
+        layout = np.asarray(repair.layout)
         try:
             check_playable(layout, tasks_of(rule), 1)
         except qdenv.InputError:
@@ -92,14 +113,8 @@ def draw_costs(rng: np.random.Generator, layout: np.ndarray, tasks: TaskRule) ->
     kind = str(rng.choice(list(ONE_WAY), p=[0.5, 0.25, 0.25]))
     if kind == "equal":
         return kind, Floor(layout)
-    one_way, free = ONE_WAY[kind], np.isin(layout, [*map(tasks.tiles.index, tasks.traversable)])
-    while True:
-        costs = rng.uniform(0.3, 3, (NUM_MOVES, *layout.shape))
-        costs[1:][rng.random(costs[1:].shape) < one_way] = np.inf
-        try:
-            return kind, Floor(layout, fixed_costs(costs, free))
-        except qdenv.InputError:
-            one_way /= 2
+    free = np.isin(layout, [*map(tasks.tiles.index, tasks.traversable)])
+    return kind, Floor(layout, fixed_costs(random_costs(rng, free, ONE_WAY[kind]), free))
 
 
 def attempt(rng: np.random.Generator, folder: Path, kind: str = "") -> Attempt:
