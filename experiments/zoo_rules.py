@@ -84,20 +84,7 @@ RULES: Mapping[str, tuple[Rule, ...]] = {
     "warehouse-even": _WAREHOUSE,
     # Few of its elites move much at the largest size: more are tried.
     "warehouse-uneven": (_WAREHOUSE[0]._replace(tried=72, apart=3), *_WAREHOUSE[1:]),
-    "manufacturing": with_fleets(
-        "workstations",
-        "stations",
-        "few stations",
-        "many stations",
-    ),
-    "maze-walls": in_mazes(
-        "number of walls",
-        ("dense", "open"),
-        ("many walls", "few walls"),
-    ),
-    "maze-entropy": in_mazes(
-        ENTROPY,
-        ("varied", "regular"),
-        ("irregular walls", "regular walls"),
-    ),
+    "manufacturing": with_fleets("workstations", "stations", "few stations", "many stations"),
+    "maze-walls": in_mazes("number of walls", ("dense", "open"), ("many walls", "few walls")),
+    "maze-entropy": in_mazes(ENTROPY, ("varied", "regular"), ("irregular walls", "regular walls")),
 }

@@ -37,14 +37,8 @@ def test_rules_accept_a_proper_factory():
     [
         (["..e..", ".e0e.", "..e..", "e1..e", ".e.e."], "0 '2' where"),
         ([".e...", "e0...", ".....", "e1.2e", ".e.e."], None),
-        (
-            ["....0", ".e0e.", "..e..", "e1.2e", ".e.e."],
-            "'0', '1' or '2' without 'e' beside it",
-        ),
-        (
-            ["e.e..", ".e0e.", "..e..", "e1.2e", ".e.e."],
-            "'e' without '0', '1' or '2' beside it",
-        ),
+        (["....0", ".e0e.", "..e..", "e1.2e", ".e.e."], "'0', '1' or '2' without 'e' beside it"),
+        (["e.e..", ".e0e.", "..e..", "e1.2e", ".e.e."], "'e' without '0', '1' or '2' beside it"),
         (["e0...", "0e1..", ".1e2.", "..2e.", "....."], "unconnected parts"),
     ],
 )

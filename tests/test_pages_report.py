@@ -193,16 +193,8 @@ def row_of(layout, mean, error):
 @pytest.mark.parametrize(
     ("ours", "theirs", "sentence"),
     [
-        (
-            (5.0, 0.1),
-            (4.0, 0.05),
-            r"B moves 25.0 % more than A .* \(95 %: 17.9 to 32.4 %\)",
-        ),
-        (
-            (3.0, 0.1),
-            (4.0, 0.05),
-            r"B moves 25.0 % less than A .* \(95 %: 18.4 to 31.5 %\)",
-        ),
+        ((5.0, 0.1), (4.0, 0.05), r"B moves 25.0 % more than A .* \(95 %: 17.9 to 32.4 %\)"),
+        ((3.0, 0.1), (4.0, 0.05), r"B moves 25.0 % less than A .* \(95 %: 18.4 to 31.5 %\)"),
         (
             (4.1, 0.1),
             (4.0, 0.1),

@@ -7,13 +7,7 @@ from matplotlib.quiver import Quiver
 
 from qdenv.grid import DOWN, LEFT, MOVES, RIGHT, UP, WAIT
 from qdenv.guidance import crisscross, fixed_costs
-from qdenv.view.guidance import (
-    ARROWS,
-    draw_guidance,
-    pack_arrows,
-    preferences,
-    share_along,
-)
+from qdenv.view.guidance import ARROWS, draw_guidance, pack_arrows, preferences, share_along
 from qdenv.view.style import save_figure
 
 FREE = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)  # a ring

@@ -14,13 +14,7 @@ from qdenv.guidance import crisscross
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 from qdenv.view.change import draw_change
-from qdenv.view.layouts import (
-    CHANGED,
-    COLOURS,
-    draw_frames,
-    draw_layout,
-    draw_plan,
-)
+from qdenv.view.layouts import CHANGED, COLOURS, draw_frames, draw_layout, draw_plan
 from qdenv.view.style import save_figure
 
 DRAWING = [".@ew", "e@..", "...."]

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from qdenv.stats import (
-    Sample,
-    difference,
-    margin,
-    paired_difference,
-    sample_of,
-    wilson_interval,
-)
+from qdenv.stats import Sample, difference, margin, paired_difference, sample_of, wilson_interval
 from qdenv.study.table import Row, differences
 
 NAN = float("nan")

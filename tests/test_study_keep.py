@@ -13,12 +13,7 @@ from qdenv.study.options import keep_from
 from qdenv.study.plans import resolve_plan
 from qdenv.types import InputError
 
-ROWS = (
-    "w.........#",
-    "..e@e.e@e.#",
-    "..e@e.e@e.i",
-    "o.........#",
-)
+ROWS = ("w.........#", "..e@e.e@e.#", "..e@e.e@e.i", "o.........#")
 STAYS = ("w?????????#", "??????????#", "??????????i", "o?????????#")
 SMALL = "--agents 4 --timesteps 20 --simulations 1 --steps 6 --hidden 4 --emitters 1 --batch 4"
 

@@ -10,13 +10,7 @@ import pytest
 from search_harness import QUICK
 
 from qdenv.surrogates.settings import SurrogateConfig
-from qdenv.surrogates.surrogate import (
-    STAGES,
-    Ring,
-    Samples,
-    Surrogate,
-    errors,
-)
+from qdenv.surrogates.surrogate import STAGES, Ring, Samples, Surrogate, errors
 from qdenv.types import Encoding, InputError
 
 pytestmark = pytest.mark.slow

@@ -106,10 +106,7 @@ class Split(NamedTuple):
 
 
 def try_surrogate(
-    elites: Evaluated,
-    config: SurrogateConfig,
-    seeds: Sequence[int],
-    progress: Progress = silent,
+    elites: Evaluated, config: SurrogateConfig, seeds: Sequence[int], progress: Progress = silent
 ) -> list[Split]:
     """Learn from four fifths of the elites and predict the others, once per seed.
 

@@ -128,10 +128,7 @@ def draw_archives(
 
 
 def plot_run(
-    run: RunDirectory,
-    folder: Path | None = None,
-    form: str = "png",
-    width: float | None = None,
+    run: RunDirectory, folder: Path | None = None, form: str = "png", width: float | None = None
 ) -> list[Path]:
     """Draw archive.png, progress.png and best_layout.png of a run, notes.png if it has notes.
 

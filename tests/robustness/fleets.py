@@ -182,12 +182,7 @@ def forbidden(floor: Floor, positions: np.ndarray) -> list[str]:
 
 
 def simulate(
-    floor: Floor,
-    tasks: TaskRule,
-    planning: Planning,
-    backend: str,
-    agents: int,
-    seeds: list[int],
+    floor: Floor, tasks: TaskRule, planning: Planning, backend: str, agents: int, seeds: list[int]
 ) -> tuple[list[tuple[Traffic, list[str], str]], list[np.ndarray]]:
     """Simulate once per seed: what was counted, the broken rules, a hash of the recording.
 

@@ -19,12 +19,7 @@ from jax.experimental.buffer_callback import buffer_callback
 from qdenv.grid import NUM_MOVES, move_steps, of_tiles
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.agents import FleetState, drive, hand_out, place
-from qdenv.simulation.mapf.distances import (
-    goal_costs,
-    goal_distances,
-    measure_fields,
-    rows_of,
-)
+from qdenv.simulation.mapf.distances import goal_costs, goal_distances, measure_fields, rows_of
 from qdenv.simulation.mapf.host.run import simulate_into
 from qdenv.simulation.mapf.host.state import RunSettings
 from qdenv.simulation.mapf.metrics import (

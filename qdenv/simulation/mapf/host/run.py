@@ -45,11 +45,7 @@ def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
     """
 
     def run_windows(
-        run: HostRun,
-        fields: DistanceFields,
-        plan: Any,
-        fallback: Fallback,
-        has_orders: bool | None,
+        run: HostRun, fields: DistanceFields, plan: Any, fallback: Fallback, has_orders: bool | None
     ) -> int:
         counters, settings = run.counters, run.settings
         plans = chance.mix(settings.seed, chance.PLANS)

@@ -25,11 +25,7 @@ import jax.numpy as jnp
 from qdenv.devices import runs_on_host
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.negotiated.numba.rounds import make_plan, run_windows
-from qdenv.simulation.mapf.negotiated.settings import (
-    MARGIN,
-    MAX_WINDOW,
-    NegotiatedConfig,
-)
+from qdenv.simulation.mapf.negotiated.settings import MARGIN, MAX_WINDOW, NegotiatedConfig
 from qdenv.simulation.mapf.negotiated.xla.rounds import negotiate, path_conflicts
 from qdenv.simulation.mapf.pibt.planner import rollout
 from qdenv.simulation.mapf.planner import AgentState, Planner, World

@@ -130,11 +130,7 @@ def release(reservations: Reservations, shape: _Shape, agents: jax.Array) -> Res
 
 
 def accept(
-    reservations: Reservations,
-    shape: _Shape,
-    agent: jax.Array,
-    paths: jax.Array,
-    mask: jax.Array,
+    reservations: Reservations, shape: _Shape, agent: jax.Array, paths: jax.Array, mask: jax.Array
 ) -> Reservations:
     """Reserve new paths and release the agents whose reservations they drive over.
 
