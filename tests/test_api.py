@@ -258,15 +258,14 @@ def test_a_run_without_an_archive_shows_what_is_wrong(tmp_path, run):
         _ = bare.archive
 
 
-def test_export_writes_tables_and_every_layout(run, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_export_writes_tables_and_every_layout(run, folder, capsys):
     assert command(["export", str(run.path), "--layouts", "plans"]) == 0
     assert "garden_elites.csv" in capsys.readouterr().out
     pandas = pytest.importorskip("pandas")
     frame = pandas.read_csv("garden_elites.csv")
     expected = run.archive.to_pandas()
     pandas.testing.assert_frame_equal(frame, expected, check_dtype=False, check_exact=False)
-    files = sorted((tmp_path / "plans").glob("*.json"))
+    files = sorted((folder / "plans").glob("*.json"))
     assert len(files) == len(run.archive)
     one = run.elite(files[0].stem.replace("_", ","))
     np.testing.assert_array_equal(read_layout(files[0], toy.TILES), one.layout)

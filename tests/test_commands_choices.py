@@ -79,9 +79,8 @@ def test_a_command_has_an_option_for_each_number_of_its_domain(command, words, n
     assert ("--shelves" in capsys.readouterr().out) == bool(names)
 
 
-def test_a_stated_zero_is_no_missing_number(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "plan.txt").write_text("\n".join(ROWS))
+def test_a_stated_zero_is_no_missing_number(folder, capsys):
+    (folder / "plan.txt").write_text("\n".join(ROWS))
     assert run(["check", "plan.txt", "--shelves", "0"]) == 1
     assert "exactly 0" in capsys.readouterr().out
 

@@ -32,12 +32,11 @@ WALLS = ["!!!!!!!!!!!!!!", *["!????????????!"] * 6, "!!!!!!!!!!!!!!"]
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(folder):
     """A working folder with her plan and her drawings of what must stay."""
-    monkeypatch.chdir(tmp_path)
     for name, rows in (("plan", PLAN), ("doors", DOORS), ("walls", WALLS)):
-        (tmp_path / f"{name}.txt").write_text("\n".join(rows) + "\n")
-    return tmp_path
+        (folder / f"{name}.txt").write_text("\n".join(rows) + "\n")
+    return folder
 
 
 def refusal(arguments: list[str], capsys) -> str:

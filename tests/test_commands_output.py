@@ -22,12 +22,6 @@ from qdenv.shipped import HOME
 from qdenv.types import InputError
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
 def test_a_name_nobody_gave_never_replaces_a_file(folder):
     (folder / "plan.png").touch()
     first, second, third = (place(AUTO, "plan.json") for _ in range(3))  # nothing is written yet

@@ -159,8 +159,7 @@ def test_reports_call_a_planner_by_its_name_and_settings():
 
 
 @pytest.mark.slow
-def test_facts_of_a_study_hold_all_settings_of_its_planner(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_facts_of_a_study_hold_all_settings_of_its_planner(folder, capsys):
     Path("plan.txt").write_text("\n".join(PLAN))
     short = ["--agents", "3", "--timesteps", "20", "--seeds", "1", "--planner", "pibt"]
     for command in STUDIES:

@@ -122,8 +122,7 @@ def test_measures_reach_from_end_to_end_at_any_size(shape):
     "line",
     ["train quick --domain hall", "generate run --rows 9 --cols 30", "series run"],
 )
-def test_without_a_plan_a_hall_has_no_stations(line, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_without_a_plan_a_hall_has_no_stations(line, capsys, folder):
     save(Path("l.txt"))
     small = "--agents 4 --timesteps 9 --simulations 1 --steps 6 --hidden 4 --emitters 1 --batch 4"
     if "run" in line:
@@ -184,8 +183,7 @@ def test_aisles_and_racks_that_cannot_be_are_refused(settings, message, tmp_path
 
 
 @pytest.mark.slow
-def test_generators_draw_racks_into_a_plan(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_generators_draw_racks_into_a_plan(folder):
     save(Path("l.txt"))
     line = "generate zoo:warehouse-even/best --plan l.txt --aisle 2 --rack 1x2 --out made.txt"
     assert run(line.split()) == 0

@@ -11,6 +11,7 @@ from qdenv.grid import draw
 from qdenv.ops.options import Fleet, read_plan
 from qdenv.study.plans import resolve_plan
 
+pytestmark = pytest.mark.usefixtures("folder")
 DRAWN = ["P.........", "..eSe.eSe.#", "..eSe.eSe.i", "o........."]
 TILES = ["w.........#", "..e@e.e@e.#", "..e@e.e@e.i", "o.........#"]
 LEGEND = 'legend = {S = "@", P = "w"}'
@@ -21,12 +22,6 @@ seconds_per_step = 1.5
 shelves = "3:5"
 keep = "0:2,0:6"
 """
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def save(name="plan.txt", facts=FACTS, rows=DRAWN):

@@ -117,9 +117,8 @@ def test_a_foreign_folder_writes_nowhere_else(changes, message, done, tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_an_hour_of_an_engineer(done, plan, tmp_path, monkeypatch):
+def test_an_hour_of_an_engineer(done, plan, folder):
     """No command needs an option from her plan, nor from what the one before wrote."""
-    monkeypatch.chdir(tmp_path)
     better = str(done[1] / "a_new_floor.txt")
     for layout in (str(plan), better):
         assert run(["check", layout]) == 0

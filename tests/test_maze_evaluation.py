@@ -135,18 +135,17 @@ def test_comparison_with_random_mazes_of_like_path_length(agent):
         compare_with_random(agent, layout, mazes=1)
 
 
-def test_the_command_leaves_the_random_mazes_beside_their_table(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_leaves_the_random_mazes_beside_their_table(folder, capsys):
     maze = random_mazes(7, 1, 8, 8, 20)[0]
     rows = ["".join(" X"[tile] for tile in row) for row in np.pad(maze, 1, constant_values=1)]
-    (tmp_path / "maze.txt").write_text("\n".join(rows))
+    (folder / "maze.txt").write_text("\n".join(rows))
     line = "evaluate-agent maze.txt --random-mazes 3 --runs 4 --horizon 150 --json facts.json"
     assert run(line.split()) == 0
     said = capsys.readouterr().out
     assert "in 4 runs of at most 150 timesteps" in said
     for written in ("maze_random: 3 layouts", "maze_random.csv", "maze_random.png", "facts.json"):
         assert f"{written}\n" in said
-    facts = json.loads((tmp_path / "facts.json").read_text())["random_mazes"]
+    facts = json.loads((folder / "facts.json").read_text())["random_mazes"]
     assert (facts["mazes"], facts["walls"], facts["runs"]) == (3, 20, 4)
     with open("maze_random.csv", newline="") as table:
         listed = list(csv.DictReader(table))

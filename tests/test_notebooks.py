@@ -83,8 +83,7 @@ def test_the_install_cell_finds_a_wheel_a_zip_and_a_checkout(made, chosen, tmp_p
     assert known["wanted"] == f"{tmp_path / chosen}[data,viz]"
 
 
-def test_without_anything_to_install_the_cell_says_what_to_upload(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_without_anything_to_install_the_cell_says_what_to_upload(folder, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     asked = STORE["INSTALL"].replace("%pip install -q", "wanted =")
     with pytest.raises(AssertionError, match="upload a wheel or a zip"):

@@ -304,14 +304,13 @@ def test_a_walk_through_a_maze_is_replayed_likewise(tmp_path):
         assert shown.locator("#chart-throughput").count() == 0
 
 
-def test_the_command_writes_the_page_films_and_facts(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "plan.txt").write_text("\n".join(ROWS))
+def test_the_command_writes_the_page_films_and_facts(folder, capsys):
+    (folder / "plan.txt").write_text("\n".join(ROWS))
     line = "replay plan.txt --agents 8 --timesteps 20 --effort low --seed 4 --gif --last 6"
     assert run([*line.split(), "--mp4", "film.mp4", "--json", "facts.json"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[-4:] == ["plan_replay.html", "plan_replay.gif", "film.mp4", "facts.json"]
-    facts = json.loads((tmp_path / "facts.json").read_text())
+    facts = json.loads((folder / "facts.json").read_text())
     again = qdenv.simulate("plan.txt", agents=8, timesteps=20, seeds=[4], effort="low")
     assert facts["throughput"] == pytest.approx(again["mean_of_all"], rel=1e-5)
     assert (facts["page"], facts["gif"]) == ("plan_replay.html", "plan_replay.gif")
@@ -323,9 +322,8 @@ def test_in_python_the_page_shows_itself():
     assert page.title == "Replay of small" and "<iframe" in page._repr_html_()
 
 
-def test_a_missing_package_is_named_before_anything_runs(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "plan.txt").write_text("\n".join(ROWS))
+def test_a_missing_package_is_named_before_anything_runs(folder, monkeypatch, capsys):
+    (folder / "plan.txt").write_text("\n".join(ROWS))
     find = util.find_spec
     for gone, line, said in (
         ("imageio_ffmpeg", "--mp4", 'films need imageio-ffmpeg: pip install "qdenv[viz]"'),
@@ -336,7 +334,7 @@ def test_a_missing_package_is_named_before_anything_runs(tmp_path, monkeypatch, 
         )
         assert run(["replay", "plan.txt", "--agents", "5", line]) == 2
         assert capsys.readouterr().err == f"qdenv: {said}\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["plan.txt"]
+    assert [path.name for path in folder.iterdir()] == ["plan.txt"]
 
 
 def test_a_robot_that_jumps_cannot_be_encoded(busy):

@@ -106,9 +106,8 @@ def test_archives_share_one_colour_scale_and_one_bar():
 
 
 def test_plot_draws_several_runs_into_a_folder_in_the_format_that_is_asked_for(
-    runs, tmp_path, monkeypatch, capsys
+    runs, folder, capsys
 ):
-    monkeypatch.chdir(tmp_path)
     paths = [str(run.path) for run in runs]
     assert qdenv(["plot", *paths]) == 0
     said = capsys.readouterr().out.splitlines()

@@ -194,8 +194,7 @@ def test_held_out_elites_are_not_learnt_from(elites, trials):
     assert (blind.predicted == trials[0].predicted).all()
 
 
-def test_the_command_writes_what_it_says(run, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_the_command_writes_what_it_says(run, folder, capsys):
     sizes = "--channels 4 --blocks 0 --epochs 60 --minibatch 16 --rate 3e-3"
     line = f"surrogate {run.path} --seeds 4,6 {sizes} --json facts.json"
     assert command(line.split()) == 0
@@ -219,13 +218,12 @@ def test_the_command_writes_what_it_says(run, tmp_path, monkeypatch, capsys):
     assert archive.elite(rows[0]["cell"]).objective == pytest.approx(float(rows[0]["objective"]))
 
 
-def test_too_few_elites_are_refused_in_one_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run = save_run(tmp_path / "small", FEWEST - 1)
+def test_too_few_elites_are_refused_in_one_line(folder, capsys):
+    run = save_run(folder / "small", FEWEST - 1)
     assert command(["surrogate", str(run.path)]) == 2
     said = capsys.readouterr()
     assert "at least 50 elites, this archive has 49" in said.err and said.err.count("\n") == 1
-    assert said.out == "" and not list(tmp_path.glob("*.*"))
+    assert said.out == "" and not list(folder.glob("*.*"))
 
 
 def test_from_python_a_surrogate_is_a_function(run, trials):

@@ -139,8 +139,7 @@ def test_the_best_moves_more_at_the_large_size_than_those_chosen_for_other_thing
     assert best.mean > np.median([other.mean for other in others])
 
 
-def test_commands_and_functions_take_names_of_the_zoo(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_commands_and_functions_take_names_of_the_zoo(folder, capsys):
     small = ["--rows", "12", "--cols", "16"]
     assert run(["generate", f"{EVEN}/regular", *small, "--shelves", "20", "--out", "a.json"]) == 0
     assert run(["generate", EVEN, "--elite", "regular", *small, "--shelves", "20"]) == 0
@@ -183,8 +182,7 @@ def test_the_generator_that_is_named_is_the_runs_best():
         every.elite("worst")
 
 
-def test_zoo_lists_every_generator_with_its_figures(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_zoo_lists_every_generator_with_its_figures(folder, capsys):
     assert run(["zoo", "--json", "zoo.json"]) == 0
     said = capsys.readouterr().out
     facts = json.loads(Path("zoo.json").read_text())
