@@ -133,9 +133,10 @@ def build_free(facts: Facts, spanned: bool) -> Program:
     """Build the program in which every layout costs nothing; `spanned` with `_span`'s rows."""
     program = build(facts.any_layout, facts)
     program = program._replace(cost=np.zeros_like(program.cost), constant=0.0)
-    extends = ((_surround, any(facts.widens)), (_span, spanned and facts.rules.connected))
-    for extend in (extend for extend, needed in extends if needed):
-        more, rows = extend(program, facts)
+    parts = [_surround] if any(facts.widens) else []
+    parts += [_span] if spanned and facts.rules.connected else []
+    for part in parts:
+        more, rows = part(program, facts)
         program = program._replace(
             cost=np.pad(program.cost, (0, more)),
             upper=np.pad(program.upper, (0, more), constant_values=1.0),
@@ -149,7 +150,7 @@ def _surround(program: Program, facts: Facts) -> tuple[int, list[Constraints]]:
     """Bound what lies beside wide aisles by their cells, see `Facts.spare_ring`.
 
     That is every obstacle which they serve, and walls and the outside where they run along them. A
-    (continuous) variable for each wall stands behind the others: their number and the rows.
+    (continuous) variable for each wall stands behind the others. Returns their number and the rows.
     """
     rules, first, shape = facts.rules, program.cost.size, facts.free.shape
     rule = rules.covers[facts.widens.index(True)]

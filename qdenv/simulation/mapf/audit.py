@@ -1,7 +1,8 @@
 """An independent check of a recorded run, in plain numpy.
 
-X
-services, finished tasks, jams. Everything that disagrees is named.
+It shares no code with the simulator but the goals' weights and stays. It walks through the
+trajectory once and works out by itself what must have happened: arrivals, services, finished tasks,
+jams. Everything that disagrees is named.
 """
 
 import numpy as np
