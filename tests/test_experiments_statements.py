@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -215,6 +216,8 @@ def test_the_page_states_what_fleets_move():
     grown = most["warehouse-even", "101 x 102", "CMA-MAE + NCA, first zoo"]
     other = most["warehouse-even", "101 x 102", "CMA-ES + NCA"]
     assert f"no more than {float(other[4]):.1f} tasks per timestep" in PAGE
+    for domain, size in product(FLEETS[1:], ("33 x 36", "101 x 102")):
+        assert moved[domain, "CMA-ES + NCA", size, "our"].replace("+-", "±") in PAGE
     assert f"and {grown[4]} with {int(grown[5]):,}" in PAGE
     rows_of = {(row["layout"], row["agents"]): row for row in rows("congestion.csv")}
     paper = rows_of["warehouse_even_nca_a5_eval", "1400"]
