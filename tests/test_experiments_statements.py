@@ -218,6 +218,17 @@ def test_the_page_states_what_fleets_move():
     assert f"no more than {float(other[4]):.1f} tasks per timestep" in PAGE
     for domain, size in product(FLEETS[1:], ("33 x 36", "101 x 102")):
         assert moved[domain, "CMA-ES + NCA", size, "our"].replace("+-", "±") in PAGE
+    runs = rows("traffic/makers-warehouse-uneven.csv", layout="warehouse-uneven-cma-es-101x102")
+    jams = [row["congested"] for row in runs if row["planner"] == "published"]
+    assert f"search ({jams.count('False')} of {len(jams)}; under ours all" in PAGE
+    drawn = []
+    for size in ("33x36", "101x102"):
+        text = (RESULTS / "layouts" / f"manufacturing-cma-es-{size}.json").read_text()
+        before, after = ("".join(json.loads(text)[name]) for name in ("unrepaired", "layout"))
+        stations = (sum(map(plan.count, "012")) for plan in (before, after))
+        drawn.append("{} of the {:,}".format(*stations))
+    share = f"{table('figure_23')[-1][5][:-1]} % of the cells"
+    assert f"draws {' and '.join(drawn)} stations" in PAGE and f"which changes {share}" in PAGE
     assert f"and {grown[4]} with {int(grown[5]):,}" in PAGE
     rows_of = {(row["layout"], row["agents"]): row for row in rows("congestion.csv")}
     paper = rows_of["warehouse_even_nca_a5_eval", "1400"]
