@@ -5,6 +5,7 @@ import os
 import time
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import jax
@@ -12,6 +13,7 @@ import llvmlite.binding as llvm
 import platformdirs
 import pytest
 
+from experiments.benchmarks.pages import find_browser, open_page, start_browser
 from qdenv.cli.main import run as qdenv
 from qdenv.run.directory import RunDirectory
 
@@ -109,3 +111,24 @@ def small_run(tmp_path_factory) -> RunDirectory:
     small = [*SMALL.split(), "--arithmetic", "float"]
     assert qdenv(["train", "quick", "--run-dir", str(path), *small]) == 0
     return RunDirectory.open(path)
+
+
+@pytest.fixture(scope="module")
+def opened() -> Iterator[Callable[..., AbstractContextManager]]:
+    """Open a page from disk, offline: `opened(path, ready)`, in one browser for all of a module.
+
+    Gives a page of Playwright, once `ready` holds; a word on its console or a request fails the
+    test. Skips where no browser is.
+    """
+    if find_browser() is None:
+        pytest.skip("no Chromium on this machine (Debian: apt install chromium)")
+
+    @contextmanager
+    def open_one(path: Path, ready: str = "true", width: int = 1280) -> Iterator:
+        with open_page(browser, path, width) as (page, complaints):
+            page.wait_for_function(ready)
+            yield page
+        assert not complaints, complaints
+
+    with start_browser() as browser:
+        yield open_one

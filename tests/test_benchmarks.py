@@ -8,10 +8,12 @@ import pytest
 
 import qdenv
 from experiments.benchmarks import common, search
+from experiments.benchmarks.pages import find_browser, pages
 from experiments.benchmarks.simulation import simulate
 from experiments.benchmarks.training import shortest_time
 from qdenv.study import options
 from qdenv.surrogates.settings import SurrogateConfig
+from qdenv.view.page import make_page
 
 pytestmark = pytest.mark.slow
 
@@ -92,3 +94,15 @@ def test_every_network_of_a_surrogate_is_timed(tmp_path, monkeypatch):
     assert all(row["cpu_ms"] > 0 and row["first_cpu_s"] > 0 for row in result["timings"])
     with pytest.raises(qdenv.InputError, match="unknown preset"):
         search.surrogate(preset="no-such-preset")
+
+
+def test_the_benchmark_of_pages_reports_size_paint_and_frames(tmp_path):
+    if find_browser() is None:
+        pytest.skip("no Chromium on this machine (Debian: apt install chromium)")
+    page = make_page("page", "A page", facts={"long": "x" * 10_000}).save(tmp_path / "page.html")
+    result = pages((page,), seconds=0.3, repeats=1, json=tmp_path / "pages.json")
+    (row,) = result["pages"]
+    assert row["megabytes"] == page.stat().st_size / 1e6
+    assert row["complaints"] == [] and row["loaded_ms"] > 0
+    assert 5 < row["frames_per_second"] < 200
+    assert json.loads((tmp_path / "pages.json").read_text()) == result

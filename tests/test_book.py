@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from browser import opened
 
 import qdenv
 from qdenv.cli import main as cli
@@ -122,18 +121,29 @@ def test_public_names_are_documented_with_parameters_shapes_and_errors():
     assert not missing and len(functions) > 100
 
 
-@pytest.mark.slow
-def test_the_book_builds_without_warnings_and_has_all_names(tmp_path):
+@pytest.fixture(scope="module")
+def book(tmp_path_factory):
+    """Build the book; give its folder."""
     pytest.importorskip("myst_nb", reason="the book needs the extra docs")
-    command = [sys.executable, "-m", "sphinx", "-W", "-q", str(ROOT / "notebooks"), str(tmp_path)]
+    path = tmp_path_factory.mktemp("book")
+    command = [sys.executable, "-m", "sphinx", "-W", "-q", str(ROOT / "notebooks"), str(path)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    python = (tmp_path / "reference" / "python.html").read_text()
+    return path
+
+
+@pytest.mark.slow
+def test_the_book_builds_without_warnings_and_has_all_names(book):
+    python = (book / "reference" / "python.html").read_text()
     assert [name for name in qdenv.__all__ if name not in python] == []
-    live = re.findall('(?:href|src)="(live/.*?)"', (tmp_path / "live.html").read_text())
-    assert len(set(live)) == 10 and all((tmp_path / page).exists() for page in live)
-    assert sum(path.stat().st_size for path in (tmp_path / "live").iterdir()) < 3_000_000
-    with opened(tmp_path / "live" / "warehouse-even-archive.html") as page:
-        page.wait_for_selector("body[data-ready] #map .main-svg")
-    commands = (tmp_path / "reference" / "commands.html").read_text()
+    commands = (book / "reference" / "commands.html").read_text()
     assert [name for name in COMMANDS if f"usage: qdenv {name} " not in commands] == []
+
+
+@pytest.mark.slow
+def test_live_pages_of_the_book_share_what_draws_them(book, opened):
+    live = re.findall('(?:href|src)="(live/.*?)"', (book / "live.html").read_text())
+    assert len(set(live)) == 10 and all((book / page).exists() for page in live)
+    assert sum(path.stat().st_size for path in (book / "live").iterdir()) < 3_000_000
+    with opened(book / "live" / "warehouse-even-archive.html") as page:
+        page.wait_for_selector("body[data-ready] #map .main-svg")

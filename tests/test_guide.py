@@ -34,6 +34,14 @@ def found(plan, tmp_path_factory):
     return qdenv.guide(plan, path=path, guidance="crisscross", evaluations=80, **FLEET), path
 
 
+@pytest.fixture(scope="module")
+def further(found, plan, tmp_path_factory):
+    """A search that begins at what the other found."""
+    path = tmp_path_factory.mktemp("further") / "run"
+    qdenv.guide(plan, path=path, guidance=found[1] / FILE, evaluations=80, **FLEET)
+    return qdenv.RunDirectory.open(path)
+
+
 def test_it_leaves_costs_a_picture_and_a_table(found, plan):
     table, path = found
     assert {row.layout for row in table} == {"before", "after"}
@@ -65,15 +73,13 @@ def test_a_search_begins_at_what_moves_most_of_the_guidances_that_any_floor_can_
     assert moved[config.generator.base] == max(moved.values()) > min(moved.values())
 
 
-def test_smooth_factors_are_searched_first_and_single_costs_from_there(found, plan, tmp_path):
+def test_smooth_factors_are_searched_first_and_single_costs_from_there(found, further):
     first = qdenv.RunDirectory.open(found[1])
     assert first.config.evaluation.generator.smooth
     assert first.best.solution.shape == (NUM_SMOOTH,)
-    qdenv.guide(plan, path=tmp_path, guidance=found[1] / FILE, evaluations=40, **FLEET)
-    then = qdenv.RunDirectory.open(tmp_path)
-    assert not then.config.evaluation.generator.smooth
+    assert not further.config.evaluation.generator.smooth
     costs = qdenv.read_plan(found[1] / FILE).costs
-    assert then.best.solution.shape == (np.isfinite(costs).sum(),)
+    assert further.best.solution.shape == (np.isfinite(costs).sum(),)
 
 
 def test_the_better_of_the_mean_and_the_best_is_written(found):
@@ -95,12 +101,11 @@ def test_a_pause_and_going_on_end_where_one_search_does(found, plan, tmp_path):
     assert (run.path / FILE).read_bytes() == (whole / FILE).read_bytes()
 
 
-def test_a_search_goes_on_from_the_costs_of_another(found, plan, tmp_path):
+def test_a_search_goes_on_from_the_costs_of_another(found, further, tmp_path):
     before = found[1] / FILE
     qdenv.guide(before, path=tmp_path / "on", evaluations=80, minutes=1e-9, **FLEET)
-    qdenv.guide(plan, path=tmp_path / "whole", guidance=before, evaluations=80, **FLEET)
     run = qdenv.resume(tmp_path / "on", progress=False)
-    assert (run.path / FILE).read_bytes() == (tmp_path / "whole" / FILE).read_bytes()
+    assert (run.path / FILE).read_bytes() == (further.path / FILE).read_bytes()
     domain, start = qdenv.make_domain(run.config.evaluation.domain), run.read_start()
     assert start.std() > 0.1
     drawn = make_costs_drawer(run.config.evaluation, domain)(start[None], run.best.layout[None])[0]
@@ -111,12 +116,11 @@ def test_a_search_goes_on_from_the_costs_of_another(found, plan, tmp_path):
     np.testing.assert_allclose(ratio / ratio.mean(), 1, atol=0.5 / drawn[moves].min())
 
 
-def test_a_search_begins_at_costs_in_an_array(found, plan, tmp_path):
+def test_a_search_begins_at_costs_in_an_array(found, further, plan, tmp_path):
     costs = qdenv.read_plan(found[1] / FILE).costs
-    qdenv.guide(plan, path=tmp_path / "array", guidance=costs, evaluations=40, **FLEET)
-    qdenv.guide(plan, path=tmp_path / "file", guidance=found[1] / FILE, evaluations=40, **FLEET)
-    starts = [qdenv.RunDirectory.open(tmp_path / name).read_start() for name in ("array", "file")]
-    np.testing.assert_array_equal(*starts)
+    qdenv.guide(plan, path=tmp_path, guidance=costs, evaluations=40, **FLEET)
+    start = qdenv.RunDirectory.open(tmp_path).read_start()
+    np.testing.assert_array_equal(start, further.read_start())
 
 
 @pytest.mark.parametrize("method", ["smooth", "update"])

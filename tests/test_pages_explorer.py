@@ -6,7 +6,6 @@ import shutil
 
 import numpy as np
 import pytest
-from browser import opened
 
 import qdenv
 from qdenv.cli.main import run as command
@@ -55,7 +54,7 @@ def page_file(small_run, tmp_path_factory):
 
 
 @pytest.fixture
-def shown(page_file):
+def shown(page_file, opened):
     with opened(page_file, ready=READY) as page:
         yield page
 
@@ -235,7 +234,9 @@ def test_what_is_saved_is_a_layout_file_and_the_command_makes_it_again(shown, sm
         assert (read_plan(out).layout == archive.elite(tuple(cell)).layout).all()
 
 
-def test_growth_that_is_not_in_the_page_is_named_with_the_command_that_adds_it(small_run, tmp_path):
+def test_growth_that_is_not_in_the_page_is_named_with_the_command_that_adds_it(
+    small_run, tmp_path, opened
+):
     elites = len(small_run.archive)
     with opened(explored(small_run, tmp_path, growth=1), ready=READY) as page:
         assert page.inner_text("#growth-note") == ""  # the best is always among them
@@ -250,7 +251,7 @@ def test_growth_that_is_not_in_the_page_is_named_with_the_command_that_adds_it(s
         page.wait_for_function("document.documentElement.scrollWidth === 420")
 
 
-def test_growth_that_ends_otherwise_than_in_the_run_says_so(small_run, tmp_path):
+def test_growth_that_ends_otherwise_than_in_the_run_says_so(small_run, tmp_path, opened):
     def turned(columns):
         drawn = columns["unrepaired"].copy()
         drawn[:, 0, :3] = (drawn[:, 0, :3] + 1) % 4
@@ -261,7 +262,7 @@ def test_growth_that_ends_otherwise_than_in_the_run_says_so(small_run, tmp_path)
         assert page.inner_text("#growth-note").endswith("otherwise than in the run, in 3 cells.")
 
 
-def test_a_run_that_searched_tiles_says_that_nothing_grew(small_run, tmp_path):
+def test_a_run_that_searched_tiles_says_that_nothing_grew(small_run, tmp_path, opened):
     def direct(config):
         config["evaluation"]["generator"] = {"name": "direct"}
 
@@ -271,7 +272,7 @@ def test_a_run_that_searched_tiles_says_that_nothing_grew(small_run, tmp_path):
         assert page.is_hidden("#play") and page.is_visible("#repaired")
 
 
-def test_an_archive_of_one_measure_is_a_strip(small_run, tmp_path):
+def test_an_archive_of_one_measure_is_a_strip(small_run, tmp_path, opened):
     def first_axis(columns):
         along, rows = np.unique(columns["index"] // 5, return_index=True)
         kept = {name: column[rows] for name, column in columns.items()}
@@ -351,7 +352,7 @@ def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_
     assert (make_grower(config, domain)[1](solutions) == whole).all()
 
 
-def test_guidance_lies_on_layouts_of_elites_that_drew_costs(small_run, page_file, tmp_path):
+def test_guidance_lies_on_layouts_of_elites_that_drew_costs(small_run, page_file, tmp_path, opened):
     assert "guidance" not in page_file.read_text()
     settings = small_run.config.evaluation.generator
     guided = GuidedNcaConfig(**vars(settings))

@@ -2,14 +2,10 @@
 
 import base64
 import gzip
-import json
 
 import numpy as np
 import pytest
-from browser import opened
 
-from experiments.benchmarks.pages import find_browser
-from experiments.benchmarks.pages import pages as measure_pages
 from qdenv.types import InputError
 from qdenv.view import page as pages
 from qdenv.view.page import make_page, pack
@@ -24,7 +20,7 @@ def test_packed_arrays_are_gzip_in_base64():
 
 
 @pytest.mark.slow
-def test_a_browser_reads_back_what_python_packed(tmp_path):
+def test_a_browser_reads_back_what_python_packed(tmp_path, opened):
     array = np.random.default_rng(0).integers(0, 2**16, 50_000).astype("<u2")
     facts = {"nasty": NASTY, "number": 0.1}
     page = make_page("page", "A page", facts=facts, packed={"numbers": array})
@@ -46,16 +42,3 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
     monkeypatch.setattr(pages.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r'pages need jinja2: pip install "qdenv\[viz\]"'):
         pages.make_page("page", "A page")
-
-
-@pytest.mark.slow
-def test_the_benchmark_of_pages_reports_size_paint_and_frames(tmp_path):
-    if find_browser() is None:
-        pytest.skip("no Chromium on this machine (Debian: apt install chromium)")
-    page = make_page("page", "A page", facts={"long": "x" * 10_000}).save(tmp_path / "page.html")
-    result = measure_pages((page,), seconds=0.3, repeats=1, json=tmp_path / "pages.json")
-    (row,) = result["pages"]
-    assert row["megabytes"] == page.stat().st_size / 1e6
-    assert row["complaints"] == [] and row["loaded_ms"] > 0
-    assert 5 < row["frames_per_second"] < 200
-    assert json.loads((tmp_path / "pages.json").read_text()) == result

@@ -5,7 +5,6 @@ from importlib import util
 
 import numpy as np
 import pytest
-from browser import opened
 from halls import ell
 from small_warehouse import ROWS, TILES
 
@@ -50,7 +49,7 @@ def busy(tmp_path_factory):
 
 
 @pytest.fixture
-def shown(busy):
+def shown(busy, opened):
     with opened(busy[0], ready=SHOWN) as page:
         yield page
 
@@ -84,7 +83,7 @@ def test_the_browser_decodes_every_position_goal_wait_and_task(busy, shown):
     check_film(shown, motion, traffic)
 
 
-def test_stays_at_goals_are_service_not_waiting(own_layout, tmp_path):
+def test_stays_at_goals_are_service_not_waiting(own_layout, tmp_path, opened):
     plan = read_plan(own_layout("manufacturing_human_57x58"))
     motion, traffic = record_fleet(plan, FleetConfig(40, 60))
     path = make_replay(plan, motion, traffic).save(tmp_path / "factory.html")
@@ -97,7 +96,7 @@ def test_stays_at_goals_are_service_not_waiting(own_layout, tmp_path):
         assert f"Robot {agent}, being served, at row" in page.inner_text("#doing")
 
 
-def test_robots_without_an_order_have_no_goal(tmp_path):
+def test_robots_without_an_order_have_no_goal(tmp_path, opened):
     (tmp_path / "hall.txt").write_text("\n".join(ell()))
     plan = with_tasks(read_plan(tmp_path / "hall.txt"), {"task_rate": 0.5})
     motion, traffic = record_fleet(plan, FleetConfig(20, 60))
@@ -229,7 +228,7 @@ def test_goals_jams_and_what_lies_on_the_floor_can_be_shown(busy, shown):
     assert shown.evaluate("[...state.ground.counts.waiting.cells]") == waits.tolist()
 
 
-def test_guidance_lies_on_the_floor_where_a_plan_has_some(busy, tmp_path):
+def test_guidance_lies_on_the_floor_where_a_plan_has_some(busy, tmp_path, opened):
     path, motion, traffic = busy
     assert "guidance" not in path.read_text()
     plan = warehouse()
@@ -255,7 +254,7 @@ def test_guidance_lies_on_the_floor_where_a_plan_has_some(busy, tmp_path):
         assert pixels(shown, "ground") == without
 
 
-def test_congested_time_is_marked_and_a_run_that_it_ends_says_so(tmp_path):
+def test_congested_time_is_marked_and_a_run_that_it_ends_says_so(tmp_path, opened):
     rows = ["@@@@@@@@", "w.....ee", "@@@@@@@@"]  # nobody passes anybody
     plan = warehouse()._replace(layout=parse(rows, TILES))
     page = qdenv.replay(plan, agents=6, timesteps=40, effort="low", stop=False)
@@ -286,7 +285,7 @@ def test_the_view_can_be_enlarged_moved_and_fitted(shown):
     assert pixels(shown, "ground") == whole
 
 
-def test_a_walk_through_a_maze_is_replayed_likewise(tmp_path):
+def test_a_walk_through_a_maze_is_replayed_likewise(tmp_path, opened):
     plan = Plan("maze", parse(MAZE, " X"), find_domain("maze-walls"), assumed=False)
     motion = trace_agent(plan, seed=1)
     page = qdenv.replay(plan, seed=1)

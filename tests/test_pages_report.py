@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import opened
 from matplotlib.figure import Figure
 from small_warehouse import ROWS, TILES
 
@@ -99,7 +98,7 @@ def test_its_facts_are_those_of_simulate_sweep_and_compare(facts):
         assert found[name] == against[f"difference_{name}"]
 
 
-def test_the_page_shows_these_numbers_and_complains_of_nothing(folder, facts):
+def test_the_page_shows_these_numbers_and_complains_of_nothing(folder, facts, opened):
     sweep, simulate = facts["sweep"]["rows"], facts["simulate"]
     with opened(folder / "r.html") as shown:
         about = ("command", "qdenv", "settings")
@@ -130,7 +129,9 @@ def test_the_page_shows_these_numbers_and_complains_of_nothing(folder, facts):
     assert simulate["verdict_reason"].replace("agent", "robot") in answer
 
 
-def test_on_paper_no_figure_is_higher_than_a_page_and_headings_stay_with_theirs(folder, facts):
+def test_on_paper_no_figure_is_higher_than_a_page_and_headings_stay_with_theirs(
+    folder, facts, opened
+):
     with opened(folder / "r.html", width=700) as shown:
         shown.emulate_media(media="print")
         heights = shown.evaluate(
@@ -147,7 +148,7 @@ def test_on_paper_no_figure_is_higher_than_a_page_and_headings_stay_with_theirs(
     assert (folder / "r.html").stat().st_size < 1e6
 
 
-def test_a_floor_with_guidance_shows_it_and_who_obeys(folder, tmp_path):
+def test_a_floor_with_guidance_shows_it_and_who_obeys(folder, tmp_path, opened):
     assert "guidance" not in (folder / "r.html").read_text()
     plan = read_plan(folder / "plan.json")
     guided = plan._replace(costs=crisscross(plan.layout != TILES.index("@")))
@@ -162,7 +163,7 @@ def test_a_floor_with_guidance_shows_it_and_who_obeys(folder, tmp_path):
         assert "of their moves take the way that guidance makes cheaper" in shown.inner_text("main")
 
 
-def test_several_layouts_and_numbers_look_closely_at_the_peak_of_the_first(folder, capsys):
+def test_several_layouts_and_numbers_look_closely_at_the_peak_of_the_first(folder, capsys, opened):
     sources = [str(folder / "hand-made.json"), str(folder / "plan.json")]
     line = ["--agents", "3,9,30", *QUICK, "--seconds-per-step", "0.5", "--json", "-"]
     assert run(["report", *sources, *line, "--out", str(folder / "two.html")]) == 0
@@ -213,7 +214,7 @@ def test_the_decision_is_one_sentence_with_its_interval(ours, theirs, sentence):
     assert "nan" not in found["sentence"] and found["agents"] == 200
 
 
-def test_one_run_has_no_interval_and_says_none(folder):
+def test_one_run_has_no_interval_and_says_none(folder, opened):
     line = ["--agents", "6", "--planner", "pibt", "--timesteps", "40", "--seeds", "7,"]
     assert run(["report", str(folder / "plan.json"), *line, "--out", str(folder / "one.html")]) == 0
     with opened(folder / "one.html") as shown:
@@ -224,7 +225,7 @@ def test_one_run_has_no_interval_and_says_none(folder):
     assert "nan" not in text.lower() and "(seed 7)" in text
 
 
-def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, capsys):
+def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, capsys, opened):
     maze, page = str(folder / "maze.txt"), folder / "maze.html"
     assert run(["evaluate-agent", maze, "--json", str(folder / "e.json")]) == 0
     assert run(["report", maze, "--out", str(page), "--json", str(folder / "m.json")]) == 0
@@ -237,7 +238,7 @@ def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, capsys)
     assert row[2:4] == [f"{said['rate']:.1%}", f"{said['low']:.1%} to {said['high']:.1%}"]
 
 
-def test_a_run_shows_its_archive_and_reports_on_its_best_layout(small_run, tmp_path):
+def test_a_run_shows_its_archive_and_reports_on_its_best_layout(small_run, tmp_path, opened):
     page = qdenv.report(small_run, agents=4, timesteps=60, seeds=2, planner="pibt")
     assert page._repr_html_().startswith("<iframe")
     with opened(page.save(tmp_path / "run.html")) as shown:

@@ -19,7 +19,7 @@ from qdenv.simulation.mapf.negotiated.settings import LOW
 
 pytestmark = pytest.mark.slow
 
-ITERATIONS = 3
+NUMBERS = np.arange(1, 4)  # of iterations
 
 
 def experiment(backend: str) -> qdenv.RunConfig:
@@ -60,23 +60,26 @@ def test_only_the_repair_leaves_the_device(in_xla):
     assert callbacks(experiment("host")) > 1
 
 
+@pytest.fixture(scope="module")
+def together(in_xla):
+    """The elites after some iterations in one program."""
+    iterate = qdenv.make_iteration(in_xla)
+    run = jax.jit(lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, NUMBERS)[0])
+    return in_xla.algorithm.archive(run(in_xla.algorithm.init(in_xla.search_key))).elites()
+
+
 @pytest.mark.parametrize("accelerated", [False, True])
 def test_one_program_in_xla_finds_what_the_pipelined_loop_on_the_host_finds(
-    in_xla, accelerated, monkeypatch
+    in_xla, together, accelerated, monkeypatch
 ):
     """Beside an accelerator fleets are simulated on the host's cores all the same."""
     state = in_xla.algorithm.init(in_xla.search_key)
-    iterate = qdenv.make_iteration(in_xla)
-    numbers = np.arange(1, ITERATIONS + 1)
-    run = jax.jit(lambda state: jax.lax.scan(lambda s, i: (iterate(s, i), None), state, numbers)[0])
-    together = in_xla.algorithm.archive(run(state)).elites()
-
     if accelerated:
         monkeypatch.setattr(devices, "on_cpu", lambda: False)
     on_host = experiment("auto")
     evaluator = PipelinedEvaluator(on_host.pipeline, Threads(on_host.pipeline))
     ask, tell = jax.jit(on_host.algorithm.ask), jax.jit(on_host.algorithm.tell)
-    for number in numbers:
+    for number in NUMBERS:
         solutions, state = ask(state)
         key = jax.random.fold_in(on_host.evaluation_key, number)
         evaluation = evaluator.begin(solutions, key)()

@@ -13,7 +13,7 @@ import qdenv
 from experiments.benchmarks.common import Row, save, show
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = (
@@ -75,7 +75,7 @@ def pages(
 
 def view(file: Path, press: str, seconds: float, width: int, height: int) -> Row:
     """Open a page once: a row of the table, with the messages of its console."""
-    with open_page(file, width, height) as (page, complaints):
+    with start_browser() as browser, open_page(browser, file, width, height) as (page, complaints):
         page.wait_for_load_state("load")
         page.wait_for_timeout(500)  # the paint is reported after it
         paint, loaded = page.evaluate(PAINT)
@@ -100,13 +100,8 @@ def find_browser() -> str | None:
 
 
 @contextmanager
-def open_page(
-    file: Path, width: int = 1280, height: int = 860
-) -> "Iterator[tuple[Page, list[str]]]":
-    """Open a page from disk in a headless browser without a network.
-
-    Yields Playwright's page, and a list of complaints that grows while it is open: errors,
-    messages on the console, requests to a network. The size is that of the window in pixels.
+def start_browser() -> "Iterator[Browser]":
+    """Start a headless browser of Playwright's.
 
     Raises InputError if there is no browser, or playwright is not installed.
     """
@@ -117,16 +112,29 @@ def open_page(
         from playwright.sync_api import sync_playwright
     except ImportError as error:
         raise qdenv.InputError("browsers need playwright: pip install playwright") from error
-    complaints: list[str] = []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=list(FLAGS))
-        context = browser.new_context(
-            viewport={"width": width, "height": height}, offline=True, accept_downloads=True
-        )
-        page = context.new_page()
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
-        page.on("requestfailed", lambda request: complaints.append(f"request: {request.url[:80]}"))
-        page.goto(file.resolve().as_uri())
-        yield page, complaints
+        yield browser
         browser.close()
+
+
+@contextmanager
+def open_page(
+    browser: "Browser", file: Path, width: int = 1280, height: int = 860
+) -> "Iterator[tuple[Page, list[str]]]":
+    """Open a page from disk in a browser, without a network.
+
+    Yields Playwright's page, and a list of complaints that grows while it is open: errors,
+    messages on the console, requests to a network. The size is that of the window in pixels.
+    """
+    complaints: list[str] = []
+    context = browser.new_context(
+        viewport={"width": width, "height": height}, offline=True, accept_downloads=True
+    )
+    page = context.new_page()
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
+    page.on("requestfailed", lambda request: complaints.append(f"request: {request.url[:80]}"))
+    page.goto(file.resolve().as_uri())
+    yield page, complaints
+    context.close()

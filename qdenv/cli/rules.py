@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import (
@@ -61,32 +62,22 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
 
     They depend on what the command line chooses by name, and on the `rest` of its words.
     """
-    # The parser finds the comments behind the fields of a dictionary itself, not in its base.
-    helps = {
-        kind: {one.name: text for one in _spec_of(kind).fields if (text := help_of(one))}
-        for kind in vars(args).values()
-        if is_typeddict(kind)
-    }
-    inherited = helps[args.RunOptions] | helps[args.FleetOptions]
-    rules = number_rules()
+    helps, rules = _helps(), number_rules()
 
     @rules.struct_rule
     def marked(info: StructTypeInfo) -> StructConstructorSpec | None:
         kind, keywords = info.type, get_args(info.type)[1:]
         if is_typeddict(kind) and kind.__name__ != "Options":
             kinds = get_type_hints(kind, include_extras=True)
-            own = inherited | helps[kind]
+            own = helps[args.RunOptions] | helps[args.FleetOptions] | helps[kind]
             return _options((name, one, own[name]) for name, one in kinds.items())
         if kind in (args.PlannerOptions, args.PibtOptions):
             usual = "" if chosen.effort else kind.usual
             # The settings of several are those of the first, and are refused.
             settings = find_planner(chosen.effort, (chosen.planner or usual).partition(",")[0])
             _check_planner_options(rest, settings)
-            planner = (
-                "planner",
-                _name(PLANNERS, settings),
-                "planner of the paths; --help-all lists its settings",
-            )
+            about = "planner of the paths; --help-all lists its settings"
+            planner = ("planner", _name(PLANNERS, settings), about)
             spec = _options([planner, *_settings(settings, _PLANNER)])
             # A name and what is stated, as `Fleet` takes them.
             return dataclasses.replace(
@@ -109,6 +100,15 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
         return _tile_numbers(chosen, rest, value) if mark is args.Mark.TILES else None
 
     return rules
+
+
+@functools.cache  # reads sources
+def _helps() -> dict[Any, dict[str, str]]:
+    """Return the help of the fields of each dictionary of options, without those of its base."""
+    return {
+        kind: {one.name: text for one in _spec_of(kind).fields if (text := help_of(one))}
+        for kind in filter(is_typeddict, vars(args).values())
+    }
 
 
 def _spec_of(kind: Any, default: Any = MISSING_NONPROP) -> StructConstructorSpec:
