@@ -4,8 +4,8 @@
     python -m experiments figure_16            draw it from what is saved
     python -m experiments --make figure_16     make what is missing first
 
-`pieces.py` says what a saved result is, `runs.py`, `layouts.py` and `traffic.py` what kinds there
-are, `published.py` what the paper found.
+`pieces.py` says what a saved result is, `runs.py`, `layouts.py`, `traffic.py` and others what kinds
+there are, `published.py` what the paper found.
 """
 
 import os

@@ -47,7 +47,7 @@ def find(name: str, seeds: int = 1) -> Experiment:
 
 
 def list_all(folders: Folders, seeds: int) -> None:
-    """Print two lines per experiment: what is there, and what is missing, by kind."""
+    """Print what is there of each experiment, and what is missing, by kind."""
     for name in names():
         found = find(name, seeds)
         missing, every = found.missing(folders), len(found.everything)

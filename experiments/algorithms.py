@@ -1,4 +1,4 @@
-"""Compare all search algorithms at equal true evaluations, several seeds each (Table 4).
+"""Compare six search algorithms at equal true evaluations, several seeds each (Table 4).
 
     python -m experiments.algorithms                                             # on quick
     python -m experiments.algorithms --preset laptop --seeds 1 --evaluations 1000

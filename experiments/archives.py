@@ -1,4 +1,4 @@
-"""The runs of Table 4 and Figures 16, 20, 21: which there are, and their archives as heat maps."""
+"""The runs of Table 4 and Figures 20 and 21; archives as heat maps."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -27,7 +27,7 @@ NOTES = (
 
 
 def curve(domain: str, maker: str, shape: tuple[int, int]) -> tuple[SavedTraffic, ...]:
-    """Return the runs of one curve: with N_a agents those of the table, with others fewer."""
+    """Return the runs of one curve: with N_a agents those of the table."""
     layout, own = SavedLayout(domain, maker, shape), AGENTS[domain][shape]
     counts = (round(share * own) for share in SHARES[shape])
     return tuple(runs_of(layout, n, runs=RUNS if n == own else CURVE_RUNS[shape]) for n in counts)

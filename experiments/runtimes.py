@@ -37,7 +37,7 @@ class Runtime(NamedTuple):
 
 @dataclass(frozen=True)
 class SavedRuntime(Piece):
-    """Growing and repairing the best layout of the first zoo at one size."""
+    """Growing and repairing the best layout of the first zoo (mazes: of the zoo that ships)."""
 
     kind = "runtimes"
     label = "runtimes of {0.domain} at {0.shape[0]}x{0.shape[1]}"

@@ -1,4 +1,4 @@
-"""Table 4: QD-score and coverage of CMA-MAE, MAP-Elites and DSAGE, beside the paper's."""
+"""Table 4: QD-score and coverage of CMA-MAE, MAP-Elites, CMA-ES and DSAGE, beside the paper's."""
 
 from itertools import product
 
