@@ -45,7 +45,7 @@ TABLE_4 = {
 
 
 class Moved(NamedTuple):
-    """What fleets made of a layout, over 50 runs of 5,000 timesteps (20 where the paper says so)."""
+    """What fleets made of a layout, over 50 or 20 runs of 5,000 timesteps."""
 
     # tasks per timestep, mean of the successful runs; NaN where none is given
     throughput: float = nan
