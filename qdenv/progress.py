@@ -97,13 +97,15 @@ class Bar:
     def _redraw(self) -> None:
         """Draw the bar periodically, in a thread of its own."""
         delay = _TICK if self._unit else _PATIENCE
-        while not self._ended.wait(delay):
-            delay = _TICK if self._terminal or not self._unit else _FILE_TICK
-            self._draw()
-        if self._unit:
-            self._draw()
-        if self._bar is not None:
-            self._bar.close()
+        with contextlib.suppress(OSError):  # nobody reads it any more: the task goes on
+            while not self._ended.wait(delay):
+                delay = _TICK if self._terminal or not self._unit else _FILE_TICK
+                self._draw()
+            if self._unit:
+                self._draw()
+        with contextlib.suppress(OSError):
+            if self._bar is not None:
+                self._bar.close()
 
     def _draw(self) -> None:
         from tqdm import tqdm  # here: refused command lines must not wait for this import
@@ -126,7 +128,8 @@ class Bar:
         bar.initial, bar.start_t = self._first, self._since
         bar.set_description_str(self._step, refresh=False)
         bar.set_postfix_str(", ".join(filter(None, notes)), refresh=False)
-        bar.refresh()
+        with bar.get_lock():  # where drawing fails, `refresh` itself never gives it back
+            bar.refresh(nolock=True)
 
 
 def _listen(compiling: list[str]) -> Callable[[], None]:

@@ -1,5 +1,7 @@
 """What the bar shows of a long task."""
 
+import io
+import threading
 import time
 
 import numba
@@ -54,6 +56,21 @@ def test_step_share_and_time_left_are_shown(quick, capsys):
         assert "left, seed 1 of 4" in wait_for("simulating  25 %", capsys)
         bar("annealing", 0.5)
         wait_for("annealing  50 %", capsys)
+
+
+def test_a_reader_that_leaves_stops_the_bar_alone(quick, monkeypatch):
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    monkeypatch.setattr("sys.stderr", Closed())
+    with Bar("simulating", total=4, shown=True, unit="eval"):
+        time.sleep(0.1)
+    line = io.StringIO()
+    printing = threading.Thread(target=tqdm.std.tqdm.write, args=("a line", line), daemon=True)
+    printing.start()
+    printing.join(10)
+    assert line.getvalue() == "a line\n"
 
 
 def test_lines_are_printed_above_the_bar(quick, capsys):

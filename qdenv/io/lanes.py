@@ -24,7 +24,6 @@ from qdenv.types import InputError, Tile
 _VEHICLE = "robot"  # the one type of vehicle
 _FREE, _OCCUPIED = 254, 0  # grey of ROS's pictures
 
-
 _Node = tuple[str, float, float]  # symbol of the tile, x and y of its centre in metres
 _Edge = tuple[int, int, float]  # from node, to node, cost of the move
 

@@ -89,7 +89,7 @@ def check(
             ones not included (0:7,33:40), or a drawing with ! or a tile there and ? elsewhere; +
             joins several.
         plot: picture to write, of the cells in question.
-        **numbers: exact numbers of tiles to demand; by default not checked.
+        **numbers: exact numbers of tiles to demand; by default those that the file states, if any.
 
     Returns:
         a `Broken` for each broken rule, which names a cell; empty where the layout obeys them all.
@@ -161,7 +161,7 @@ def repair(
         polish: how hard to try after the first feasible layout.
         out: layout file to write (.json, .txt, .csv); by default LAYOUT_repaired.json.
         plot: picture to write, of what changed.
-        **numbers: exact numbers of tiles; by default as many as the layout has.
+        **numbers: exact numbers of tiles; by default those that the file states, else the layout's.
 
     Returns:
         the repaired layout, with status, cost and lower bound among its facts.

@@ -188,7 +188,7 @@ class Layout:
     def draw(self, path: str | Path) -> Path:
         """Draw the layout as a picture at `path`, which is returned: PNG, SVG or PDF by its ending.
 
-        Raises InputError if the place cannot be written to, or the ending is another.
+        Raises InputError if the place cannot be written to.
         """
         from qdenv.view.layouts import draw_plan  # imports matplotlib
         from qdenv.view.style import save_figure

@@ -32,7 +32,6 @@ if TYPE_CHECKING:  # imports the simulator
 
 _LONG = 20.0  # seconds from which on an estimate of the time is logged
 
-
 # Layouts and runs, one or several; both are named in the same way on command lines.
 Subjects: TypeAlias = Annotated[
     Any, Positional, arg(metavar="RUN|LAYOUT ...", constructor=tuple[Path, ...])
@@ -111,6 +110,8 @@ def replay(
         page, motion, facts = _replay_episode(plan, options.timesteps, seed, films)
     else:
         page, motion, facts = _replay_fleet(plan, agents, options, seed, films)
+    if any(drawn):
+        films.check_end(motion.steps)
     if target:
         page.save(target.path)
         say(target)
@@ -118,9 +119,7 @@ def replay(
     for film in filter(None, drawn):
         from qdenv.view.film import save_film  # imports matplotlib
 
-        films.check_end(motion.steps)
-        last = films.last or motion.steps
-        ending = film.path.suffix
+        last, ending = films.last or motion.steps, film.path.suffix
         if ending == ".gif" and not films.last and motion.headings is None:
             last = films.first + 100  # a GIF of robots grows by megabytes
         with Bar(f"drawing {film.path}") as bar:

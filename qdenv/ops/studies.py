@@ -35,7 +35,7 @@ def sweep(
     Args:
         layout: layout file.
         agents: numbers of agents (robots), as 50,100,200 or 50:400:50; by default the latter, or
-            more for a layout on which more are usual.
+            in proportion where more or fewer than 200 are usual.
         **study: see `StudyOptions`.
 
     Returns:
@@ -125,8 +125,8 @@ def scalability(
 
     Args:
         layouts: layout files, of one size or of several.
-        agents: numbers of agents (robots) to try in turn; by default 50:1000:50, or more for a
-            layout on which more are usual. Numbers that do not fit are left out.
+        agents: numbers of agents (robots) to try in turn; by default 50:1000:50, or in
+            proportion where more or fewer than 200 are usual. Numbers that do not fit are left out.
         **study: see `StudyOptions`.
 
     Returns:

@@ -191,7 +191,8 @@ def audit_run(
             is of the domain map.
 
     Returns:
-        a `BrokenRule` for each kind of rule that was broken first; empty for a valid run.
+        a `BrokenRule` for each broken rule of movement, the first time that it was, and for each
+            task that was not finished as stated; empty for a valid run.
 
     Raises:
         InputError: a file cannot be read, or no fleet drives in this domain.

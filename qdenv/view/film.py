@@ -29,7 +29,6 @@ _TRIANGLE = np.array([(0.38, 0.0), (-0.32, -0.34), (-0.32, 0.34)])
 TITLE = 26  # pixels above the layout
 _FINE = 4  # a mark is drawn so much larger, then reduced: its edge is smooth
 
-
 # By a film's ending:
 SIDES = {".gif": 600, ".mp4": 720}  # pixels of the layout's longer side, about
 PARTS = {".gif": 2, ".mp4": 3}  # pictures from one timestep to the next

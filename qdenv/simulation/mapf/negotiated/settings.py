@@ -17,7 +17,6 @@ MAX_SERVICE = 20
 MARGIN = MAX_WINDOW  # so that no agent sees beyond the border
 _MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
 
-
 COST_UNIT = 4  # costs are counted in quarters of a timestep
 MOVE_UNIT = 64  # where moves have costs: in units of which a move costs 64 on average
 # Where moves have costs: above what standing still through a window can cost, so that a larger
