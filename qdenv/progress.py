@@ -95,17 +95,14 @@ class Bar:
             self._thread.join()
 
     def _redraw(self) -> None:
-        """Draw the bar periodically, in a thread of its own."""
+        """Draw the bar periodically, in a thread of its own, until the output is closed."""
         delay = _TICK if self._unit else _PATIENCE
-        with contextlib.suppress(OSError):  # nobody reads it any more: the task goes on
+        with contextlib.suppress(OSError), contextlib.ExitStack() as self._open:
             while not self._ended.wait(delay):
                 delay = _TICK if self._terminal or not self._unit else _FILE_TICK
                 self._draw()
             if self._unit:
                 self._draw()
-        with contextlib.suppress(OSError):
-            if self._bar is not None:
-                self._bar.close()
 
     def _draw(self) -> None:
         from tqdm import tqdm  # here: refused command lines must not wait for this import
@@ -119,6 +116,7 @@ class Bar:
                 delay=1e-9,
                 unit=self._unit or "it",
             )
+            self._open.callback(self._bar.close)
         bar, waiting = self._bar, self._waiting
         notes = [f"{waiting[0]}: {time.time() - waiting[1]:.0f} s" if waiting else self._note]
         notes += [f"compiling {folder}, once on this machine" for folder in self._compiling[-1:]]
