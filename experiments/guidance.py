@@ -104,7 +104,7 @@ class Case(NamedTuple):
     floor: str  # name of a published file, or path of a run whose best elite draws it
     graph: str  # file of the published graph; "" where only the floor is at hand
     fleet: FleetConfig
-    published: dict[str, float]  # throughput by guidance; "graph" is the best published one
+    published: dict[str, float]  # throughput by guidance; "graph" is that of the published file
 
 
 _WAREHOUSE = "pibt_warehouse-33x36_w_mode_cma-es_400_agents_four-way-move"

@@ -78,7 +78,7 @@ def round_weights(variables: Any) -> tuple[Any, jax.Array]:
 
 
 class NCA(nn.Module):
-    """One step of the automaton, [H, W, K] -> [H, W, K] in (0, 1)."""
+    """One step of the automaton, [H, W, K] -> [H, W, K] in [0, 1]."""
 
     kinds: int  # kinds of tile K, the channels in and out
     # width of each convolution's kernel; the appendix uses (3, 3, 3), the published code (3, 1, 1)

@@ -1,6 +1,6 @@
 """The chain on one screen: parameters, grow, repair, simulate, score.
 
-The only vmaps over layouts and simulations are here. `evaluate` is one traceable function with
+A search's vmaps over layouts and simulations are here. `evaluate` is one traceable function with
 the repair as a host callback; `PipelinedEvaluator` runs the same chain as jitted parts around
 explicit repairs, so that one layout is repaired while another is simulated. Both give the same
 numbers for the same key.

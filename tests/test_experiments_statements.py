@@ -78,7 +78,7 @@ def test_what_would_raise_the_scores():
         share = objective.mean() / objective.max()
         assert f"{100 * share:.0f} % (`warehouse-{name}`)" in PAGE
         room.append(f"{100 / share - 100:.0f}")
-    assert f"better elites can add {' and '.join(room)} % at most" in PAGE
+    assert f"as good as that one would add {' and '.join(room)} %" in PAGE
     stations = numbers("manufacturing", "workstations")
     objective, success = numbers("manufacturing", "objective"), numbers("manufacturing", "success")
     some, many = (stations >= 60) & (stations < 300), stations > 350

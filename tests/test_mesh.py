@@ -16,7 +16,6 @@ from qdenv.mesh import count_parts
 pytestmark = pytest.mark.slow
 
 HERE = Path(__file__).parent
-EIGHT = "--xla_force_host_platform_device_count=8"
 COMPARED = ("fleet/archive.npz", "fleet/best_layout.json", "guided/best_layout.json")
 COMPARED += ("guided/archive.npz", "maze/archive.npz", "garden.npz")
 
@@ -26,8 +25,9 @@ def folders(tmp_path_factory) -> tuple[Path, Path]:
     """The same runs, made by the one device of this process and by eight of another."""
     one, eight = tmp_path_factory.mktemp("one"), tmp_path_factory.mktemp("eight")
     command = [sys.executable, str(HERE / "mesh_runs.py"), str(eight)]
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=8"
     with subprocess.Popen(
-        command, env={**os.environ, "XLA_FLAGS": EIGHT}, stdout=-1, stderr=-1, text=True
+        command, env={**os.environ, "XLA_FLAGS": flags}, stdout=-1, stderr=-1, text=True
     ) as work:
         said, wrong = work.communicate(timeout=300)
     assert (said, work.returncode) == ("8\n", 0), wrong

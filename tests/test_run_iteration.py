@@ -17,7 +17,7 @@ from qdenv.search.cma_mae import CmaMaeConfig
 from qdenv.simulation.mapf.fleet import FleetConfig
 from qdenv.simulation.mapf.negotiated.settings import LOW
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("emitted")]
 
 NUMBERS = np.arange(1, 4)  # of iterations
 

@@ -29,7 +29,7 @@ from qdenv.shipped import HOME
 from qdenv.simulation.mapf.fleet import FleetConfig
 from qdenv.types import InputError, RepairStatus
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("emitted")]
 
 HERE = Path(__file__).parent
 

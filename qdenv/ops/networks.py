@@ -40,7 +40,7 @@ def train_agent(
     report_every: PositiveInt = 50,
     cpu_seconds: Annotated[float, Interval(gt=0)] = float("inf"),
 ) -> Path:
-    """Train an agent for mazes: PPO over a curriculum of random mazes.
+    """Train an agent for mazes: PPO on random mazes.
 
     Args:
         config: the run.

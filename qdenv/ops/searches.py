@@ -212,7 +212,7 @@ def resume(
 def zoo(name: ZooName = "", plot: args.Picture = None) -> Result:
     """List the trained generators that ship with qdenv, and how good their layouts are.
 
-    Every command that reads a run takes zoo:DOMAIN/NAME as well.
+    Commands that read a run take zoo:DOMAIN/NAME as well, except `resume` and `surrogate`.
 
     Args:
         name: a domain, to list only its own, or one generator, to list all about it.

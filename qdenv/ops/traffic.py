@@ -170,7 +170,7 @@ def _jams(facts: Mapping[str, Any], plan: Plan) -> list[str]:
 class BrokenRule(NamedTuple):
     """A rule of movement, or of tasks, that a run broke."""
 
-    message: str  # timestep, robot and place
+    message: str  # with its timestep, where it has one
 
 
 def audit_run(

@@ -13,7 +13,7 @@ from qdenv.types import Rules
 class Violation(NamedTuple):
     """One broken rule."""
 
-    message: str  # which rule, in words, with the number of cells that break it and the first one
+    message: str  # which rule, in words; where cells break it, their number and the first
     cells: np.ndarray  # int64 [n, 2], (row, column) of the cells that break it
 
     @property

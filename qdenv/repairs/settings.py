@@ -19,8 +19,8 @@ class RepairConfig(Ranged):
     """Limits of one repair; all but `time_limit` are deterministic."""
 
     # "none" anneals as little as is safe, "quick" as long as a search can afford, "full" longer;
-    # then the solver improves windows, bounds the whole layout up to 20,000 free cells, and
-    # branches on it up to 10,000
+    # then the solver improves windows, bounds the whole layout up to 20,000 free cells, and up
+    # to 10,000, where that bound is near the cost, branches on it
     polish: Polish = "quick"
     # annealing moves per free cell; None for the number that `polish` implies
     moves_per_cell: NonNegativeInt | None = None

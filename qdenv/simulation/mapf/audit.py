@@ -18,7 +18,7 @@ def audit(
     """Find everything that a run on a layout (int8 [H, W]), and its report, did against the rules.
 
     All agents are planned again every `horizon` timesteps, the windows of the jam rule. Returns
-    messages, each with the timestep and an agent; none when all is well.
+    messages, those on movement with the timestep; none when all is well.
     """
     layout, end = np.asarray(layout), int(traffic.end_timestep)
     parts = recording.positions, recording.goals, recording.finished

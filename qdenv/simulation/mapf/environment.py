@@ -2,7 +2,7 @@
 
 The rules are those of `qdenv.simulation`; who drives is up to the caller. `reset` and `step` can be
 jitted, vmapped over keys and layouts, and scanned. Starts and goals are drawn as in
-`fleet.simulate`: the same key and moves give the same tasks.
+`fleet.simulate`: the same key and moves give the same tasks where goals have no stay.
 
     # layouts: int8 [B, H, W]
     environment = qdenv.make_environment(layouts, agents=30, domain="hall", auto_reset=True)
