@@ -97,9 +97,9 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
 
     Settings are values by name, or by the fields that lead to one, joined by two underscores
     (``evaluation__repair__gap``). The name of a domain, planner, generator or algorithm stands for
-    its settings, with all its defaults but for what a domain or generator shares with the old one; ``effort``
-    is that of the negotiated planner. Raises InputError if nothing or more than one thing has this
-    name, or the value is impossible.
+    its settings, with all its defaults but for what a domain or generator shares with the old one;
+    ``effort`` is that of the negotiated planner. Raises InputError if nothing or more than one
+    thing has this name, or the value is impossible.
     """
     values: dict[tuple[str, ...], Any] = {}
     # Choices first: which other names there are depends on them.

@@ -108,9 +108,9 @@ def problem_of(pipeline: Pipeline, measures: tuple[Measure, ...]) -> Problem:
 def observed(evaluation: Evaluation) -> dict[str, Array]:
     """Select what an algorithm observes of an evaluation beside its score, all of it archived.
 
-    Both layouts, similarity, repair status, and every number per run [B, S] of the simulator but congested_at.
-    Where that draws a map of how cells are used, also ``usage``, which is not archived: the share
-    of agent-steps on each cell, float32 [B, H, W], averaged over the runs.
+    Both layouts, similarity, repair status, and every number per run [B, S] of the simulator but
+    congested_at. Where that draws a map of how cells are used, also ``usage``, which is not
+    archived: the share of agent-steps on each cell, float32 [B, H, W], averaged over the runs.
     """
     columns = {
         name: leaf
