@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdenv.domains.base import Domain, make_domain
-from qdenv.generators import GENERATORS
+from qdenv.generators import GENERATORS, Generator
 from qdenv.grid import checksum, inside_frame
 from qdenv.guidance import unscaled_costs
 from qdenv.lazy import jax, jnp
@@ -88,18 +89,27 @@ def grow_series(
     one of another architecture, or a number of steps is negative.
     """
     check_range("steps", tuple(steps), tuple[NonNegativeInt, ...])
-    generator = GENERATORS.make(config.generator, domain.canvas)
+    generator, grow = _generator(config.generator, domain.config)
     if solution.shape != (generator.size,):
         raise InputError(
             "this run searched tiles, not automata: its layouts have the size of the run alone"
             if generator.choices
             else f"{len(solution)} parameters given, this generator has {generator.size}"
         )
-    # As a population of one, the very way layouts grow during a search.
-    grow = jax.jit(
-        lambda number: domain.frame(generator.grow(jnp.asarray(solution)[None], number)[0])
-    )
-    return [np.asarray(grow(jnp.asarray(number, jnp.int32))) for number in steps]
+    return [np.asarray(grow(solution, np.int32(number))) for number in steps]
+
+
+@lru_cache(maxsize=16)
+def _generator(config: Any, domain: Any) -> tuple[Generator, Callable[..., jax.Array]]:
+    """Make a generator for a domain of these settings, and jit its growth of one layout."""
+    made = make_domain(domain)
+    generator = GENERATORS.make(config, made.canvas)
+
+    def grow(solution: jax.Array, number: jax.Array) -> jax.Array:
+        # As a population of one, the very way layouts grow during a search.
+        return jnp.asarray(made.frame(generator.grow(solution[None], number)[0]))
+
+    return generator, jax.jit(grow)
 
 
 def grow_elite(
