@@ -40,14 +40,15 @@ def pytest_configure(config: pytest.Config) -> None:
     """Keep what XLA compiles: many tests make the same search, and the next test run makes it too.
 
     The processes of a run share it, those that tests start as well; what is a week old is deleted.
-    Most programs run for less time than XLA takes to optimize them, so it is asked not to, and to
-    emit loops in its older way, which compiles twice as fast; `JAX_DISABLE_MOST_OPTIMIZATIONS=0
-    XLA_FLAGS=` tests what users run.
+    Most programs run for less time than XLA takes to optimize them, so it does not; it emits loops
+    in its older way, and each program in one piece, which halves the time that compiling takes.
+    `JAX_DISABLE_MOST_OPTIMIZATIONS=0 XLA_FLAGS=` tests what users run.
     """
     gc.set_threshold(200_000, 20, 100)  # programs live on: to look at them takes a twentieth
     if not hasattr(config, "workerinput"):  # the first process, whose environment others inherit
         os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-        os.environ.setdefault("XLA_FLAGS", f"--{EMITTERS}=false")
+        flags = f"--{EMITTERS}=false --xla_cpu_parallel_codegen_split_count=1"
+        os.environ.setdefault("XLA_FLAGS", flags)
         cache = platformdirs.user_cache_path("qdenv-tests")
         for path in cache.rglob("*-cache"):
             if path.stat().st_mtime < time.time() - WEEK:
@@ -61,6 +62,11 @@ def pytest_configure(config: pytest.Config) -> None:
     jax.config.update("jax_disable_most_optimizations", plain)
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def pytest_sessionfinish() -> None:
+    """Leave all that lives to the end of the process: pytest would look through it five times."""
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -81,7 +87,7 @@ def optimized() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def emitted() -> Iterator[None]:
-    """Emit loops as for users: only so does a program give the bits of its parts run apart."""
+    """Emit loops as users do: in the older way a program differs from its parts in last bits."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jax, "jit", partial(jax.jit, compiler_options={EMITTERS: True}))
         yield

@@ -109,7 +109,7 @@ def test_backends_hand_out_the_same_orders_and_idle_robots_stand(planner):
         assert any(words in one for one in broken), (words, broken)
     assert any("another kind" in one for one in audit(FLOOR, TASKS, tape, traffic))
     broken = audit(FLOOR, rule, tape, traffic._replace(idle=np.float32(0.1)))
-    assert broken == ["the share of time without an order is miscounted"]
+    assert broken == ["idle time: not what is counted again"]
 
 
 def test_numbers_of_events_have_the_odds_of_poisson():

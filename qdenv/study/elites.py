@@ -104,12 +104,8 @@ def _generator(config: Any, domain: Any) -> tuple[Generator, Callable[..., jax.A
     """Make a generator for a domain of these settings, and jit its growth of one layout."""
     made = make_domain(domain)
     generator = GENERATORS.make(config, made.canvas)
-
-    def grow(solution: jax.Array, number: jax.Array) -> jax.Array:
-        # As a population of one, the very way layouts grow during a search.
-        return jnp.asarray(made.frame(generator.grow(solution[None], number)[0]))
-
-    return generator, jax.jit(grow)
+    # As a population of one, the very way layouts grow during a search.
+    return generator, jax.jit(lambda one, steps: made.frame(generator.grow(one[None], steps)[0]))
 
 
 def grow_elite(
@@ -305,8 +301,7 @@ def make_costs_drawer(config: EvaluationConfig, domain: Domain) -> CostsDrawer |
     from qdenv.pipeline import draw_costs  # imports the whole chain
 
     def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
-        key = jax.random.key(0)
-        return draw_costs(domain.simulator, generator, *item, key)
+        return draw_costs(domain.simulator, generator, *item, key=jax.random.key(0))
 
     draw = jax.jit(lambda *items: jax.lax.map(one, items))
     return lambda solutions, layouts: np.asarray(draw(solutions, layouts))

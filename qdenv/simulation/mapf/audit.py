@@ -26,27 +26,21 @@ def audit(
     positions, goals, credited = driven
     positions = positions.astype(np.int64)
     broken = check_moves(layout, rule, positions)
-    finished, working, messages = replay_tasks(
-        layout, rule, positions, goals, credited[:end], horizon
-    )
-    broken += messages
+    finished, working, more = replay_tasks(layout, rule, positions, goals, credited[:end], horizon)
+    broken += more
     # The reported figures against figures counted again; they are float32.
-    timesteps = len(np.asarray(traffic.finished))
-    counts = np.zeros(timesteps, int)
+    counts = np.zeros(len(np.asarray(traffic.finished)), int)
     counts[:end] = finished.sum(1)
-    if not np.array_equal(counts, np.asarray(traffic.finished)):
-        broken.append("finished tasks per timestep are miscounted")
-    if abs(float(traffic.throughput) - counts.sum() / timesteps) > 1e-5:
-        broken.append("throughput is not finished tasks over T")
     visits = np.bincount(positions[1:].reshape(-1), minlength=layout.size).reshape(layout.shape)
-    if not np.allclose(np.asarray(traffic.usage), visits / visits.sum(), atol=1e-6):
-        broken.append("tile usage is miscounted")
-    moves = (positions[1:] != positions[:-1]).mean()
-    if abs(float(traffic.waiting) - (1 - moves)) > 1e-5:
-        broken.append("the share of waiting is miscounted")
-    idle = goals < 0
-    if rule.rate and abs(np.asarray(traffic.idle) - idle[:end].mean()) > 1e-5:
-        broken.append("the share of time without an order is miscounted")
+    usage, idle = visits / visits.sum(), goals < 0
+    off = {
+        "finished tasks per timestep": (counts != np.asarray(traffic.finished)).any(),
+        "throughput": abs(float(traffic.throughput) - counts.mean()) > 1e-5,
+        "tile usage": not np.allclose(np.asarray(traffic.usage), usage, atol=1e-6),
+        "waiting": abs(float(traffic.waiting) - (positions[1:] == positions[:-1]).mean()) > 1e-5,
+        "idle time": rule.rate and abs(np.asarray(traffic.idle) - idle[:end].mean()) > 1e-5,
+    }
+    broken += [f"{figure}: not what is counted again" for figure, wrong in off.items() if wrong]
     jams = jammed_windows(positions, working | idle, horizon)
     if bool(traffic.congested) != bool(jams):
         broken.append(f"jams at {jams}, but congested is {bool(traffic.congested)}")
