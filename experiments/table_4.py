@@ -18,7 +18,7 @@ NOTE = (
     "Fleets under low effort of our planner. DSAGE: a small surrogate, 5 epochs and 500 inner "
     "iterations (paper: 10,000). No ratio where the paper has more evaluations."
 )
-FORMS = {"qd_score": ",.0f", "coverage": ".3f", "best_objective": ".3f"}
+FORMS = {"qd_score": ",.0f", "coverage": ".4f", "best_objective": ".3f"}
 
 
 def draw(folders: Folders) -> Drawn:

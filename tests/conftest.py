@@ -87,7 +87,7 @@ def optimized() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def emitted() -> Iterator[None]:
-    """Emit loops as users do: in the older way a program differs from its parts in last bits."""
+    """Emit loops as for users: in the older way a program's last bits are not those of its parts."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jax, "jit", partial(jax.jit, compiler_options={EMITTERS: True}))
         yield
