@@ -87,7 +87,7 @@ def optimized() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def emitted() -> Iterator[None]:
-    """Emit loops as for users: in the older way a program's last bits are not those of its parts."""
+    """Emit loops as for users: the older way rounds a program otherwise than its parts."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jax, "jit", partial(jax.jit, compiler_options={EMITTERS: True}))
         yield

@@ -22,7 +22,7 @@ from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, writ
 from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile, about
 
-ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; any other ending is JSON's
+ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; `io.formats` has the others
 _MAX_BYTES = 32 * 2**20
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
 _MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
@@ -188,7 +188,7 @@ BLANKS = " ."  # empty cells, drawn either way
 def read_layout(
     path: str | Path, tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS
 ) -> np.ndarray:
-    """Read a layout (int8 [H, W]) from a .json, .txt, .csv or .map file.
+    """Read a layout (int8 [H, W]) from a file of any format in `io.formats`.
 
     `tiles` is the domain's alphabet, `meanings` what its symbols mean, and what else draws them.
     Raises InputError if the file is missing, too big, or holds no proper layout.
@@ -251,12 +251,12 @@ def write_layout(
     /,
     **details: Any,
 ) -> None:
-    """Write a layout (int8 [H, W]) atomically as .txt, .csv, .map or else JSON, by its ending.
+    """Write a layout (int8 [H, W]) atomically, in the usual format of its ending.
 
     A map needs the `meanings` of the symbols: what is an obstacle. `costs` are those of moves,
-    float [5, H, W], where waiting on an obstacle costs infinity; JSON and CSV hold them. `details`
-    are JSON-ready facts beside the rows, which JSON alone holds. Raises InputError if no layout may
-    be so large, the file would lose tiles or costs, or the place cannot be written to.
+    float [5, H, W], where waiting on an obstacle costs infinity. `details` are JSON-ready facts
+    beside the rows; JSON alone holds them all. Raises InputError if no layout may be so large, the
+    file would lose tiles or costs, no format has its ending, or it cannot be written.
     """
     path, rows = Path(path), draw(layout, tiles)
     ending = path.suffix.lower()

@@ -195,7 +195,7 @@ def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out =
     Args:
         run: folder of the run.
         growth: number of elites whose growth the page shows, the best among them; by default as
-            many as fit into 12 MB.
+            many as take about 12 MB.
         out: page to write; by default explorer.html.
 
     Returns:

@@ -11,7 +11,7 @@ import numpy as np
 from qdenv.types import InputError, Measure
 
 _MOST_CELLS = 1_000_000  # each holds two layouts: of size S 2.4 GB in all
-_MOST_AXES = 16  # numpy has 32, and the number of cells must be printable
+_MOST_AXES = 16  # numpy has 64, and the number of cells must be printable
 _EDGE_TOLERANCE = 1e-6  # pyribs' epsilon: a measure this little below an edge is above it
 
 

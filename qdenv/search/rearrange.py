@@ -157,7 +157,7 @@ def _change(key: jax.Array, tiles: jax.Array, choices: int, odds: jax.Array) -> 
         key, 7
     )
     sides = jnp.array(tiles.shape)
-    # From 2 cells to the whole side, small and large ones alike.
+    # From 2 cells to a cell less than the side, small and large ones alike.
     share = jax.random.uniform(size_key, (2,))
     size = (2 * (sides / 2) ** share).astype(jnp.int32).clip(1, sides)
     first = jax.random.randint(first_key, (2,), 0, sides - size + 1)

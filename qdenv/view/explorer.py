@@ -41,7 +41,7 @@ _ALIKE = 1e-4  # relative; columns that differ by less are shown once
 _LAYOUTS = 256  # elites in a chunk of layouts
 _GROWN = 16  # elites in a chunk of growth
 _AT_ONCE = 64  # elites grown by one call
-_BUDGET = 12_000_000  # bytes that growth may take in a file unless a number of elites is given
+_BUDGET = 12_000_000  # bytes of growth after which none is added, unless a number is given
 _SHADES = 12  # of the colour scale, with straight lines between
 _SCRIPTS = "data tiles sketch place map pointer table cards growth start"
 
@@ -52,7 +52,7 @@ def make_explorer(
     """Make the explorer of a run's archive; its facts are a summary.
 
     `growth` is the number of elites that the page shows growing, evenly spread over the archive,
-    the best among them; unless given as many as fit into 12 MB. Raises InputError if there is no
+    the best among them; unless given as many as take about 12 MB. Raises InputError if there is no
     elite, there are more than two measures, `growth` is negative, or a package is not installed.
     """
     check_range("growth", growth, NonNegativeInt | None)
@@ -222,7 +222,7 @@ def _pack_growth(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Grow elites again, evenly spread over the archive, the best first; return facts and chunks.
 
-    `limit` is the number of elites, or None for as many as fit the usual budget.
+    `limit` is the number of elites, or None for as many as take the usual bytes.
     """
     rows: list[int] = []  # of the archive, in the order of the chunks
     # Cells in which an elite that grew here differs from what the run drew, by row; 0 is left out.

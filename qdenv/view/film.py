@@ -33,7 +33,7 @@ _FINE = 4  # a mark is drawn so much larger, then reduced: its edge is smooth
 SIDES = {".gif": 600, ".mp4": 720}  # pixels of the layout's longer side, about
 PARTS = {".gif": 2, ".mp4": 3}  # pictures from one timestep to the next
 RATES = {".gif": 12.5, ".mp4": 24}  # pictures a second
-MOST = 600  # pictures of an episode in a maze, which may take thousands of actions
+MOST = 600  # pictures of an episode in a maze, beside its last: it may take thousands of actions
 
 
 def save_film(
