@@ -19,6 +19,7 @@ from qdenv.settings import EvaluationConfig
 from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.settings import FleetConfig
 
+_NCA = NcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4)
 _PLANNER = PibtConfig(backend="xla")  # the quickest to compile
 _FLEET = FleetConfig(agents=4, timesteps=10, window=2, horizon=1, planner=_PLANNER)
 
@@ -26,19 +27,18 @@ _FLEET = FleetConfig(agents=4, timesteps=10, window=2, horizon=1, planner=_PLANN
 FLEET = RunConfig(
     evaluation=EvaluationConfig(
         domain=WarehouseConfig(rows=9, cols=10, shelves=6, fleet=_FLEET),
-        generator=GuidedNcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4),
+        generator=_NCA,
         simulations=2,
     ),
     algorithm=CmaMaeConfig(emitters=2, batch=3, sigma0=0.5),
     evaluations=12,
     archive=((0, 10, 5), (0, 1, 5)),
 )
+_GUIDED = GuidedNcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4)
+GUIDED = replace(FLEET, evaluation=replace(FLEET.evaluation, generator=_GUIDED), evaluations=6)
 MAZE = RunConfig(
     evaluation=EvaluationConfig(
-        domain=MazeConfig(rows=6, cols=6, timesteps=40),
-        generator=NcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4),
-        simulations=5,
-        alpha=0.0,
+        domain=MazeConfig(rows=6, cols=6, timesteps=40), generator=_NCA, simulations=5, alpha=0.0
     ),
     algorithm=CmaMaeConfig(emitters=1, batch=2, sigma0=0.5, ahead=1),
     evaluations=6,
@@ -49,6 +49,7 @@ MAZE = RunConfig(
 def make_runs(folder: Path) -> None:
     """Search both domains, and iterate the garden under jit, whole."""
     loop.train(FLEET, folder / "fleet", progress=False)
+    loop.train(GUIDED, folder / "guided", progress=False)
     loop.train(MAZE, folder / "maze", progress=False)
     experiment = make_experiment(replace(toy.CONFIG, seed=3))
     iterate = jax.jit(make_iteration(experiment))

@@ -16,7 +16,8 @@ from qdenv.mesh import count_parts
 pytestmark = pytest.mark.slow
 
 HERE = Path(__file__).parent
-COMPARED = ("fleet/archive.npz", "fleet/best_layout.json", "maze/archive.npz", "garden.npz")
+COMPARED = ("fleet/archive.npz", "fleet/best_layout.json", "guided/best_layout.json")
+COMPARED += ("guided/archive.npz", "maze/archive.npz", "garden.npz")
 
 
 @pytest.fixture(scope="module")
