@@ -18,7 +18,7 @@ STEP = 1.05  # agents from one number to the next where the peak is located
 COARSE = 4  # such steps at once on the way up: 22 %
 FALLS = 2  # numbers in a row that move less than the best so far: beyond the peak
 BEGIN = 0.03  # agents per cell
-RUNGS = range(-20, 80)  # of the ladder of numbers: BEGIN / 3 to more agents than cells
+RUNGS = range(-20, 80)  # of the ladder of numbers: BEGIN / 2.7 to more agents than cells
 # Where nothing is known yet: agents per cell at the peak, and the work of locating it, in runs
 # with as many agents as there are at the peak.
 LIKELY, RUNS = 0.25, 14.0

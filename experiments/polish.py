@@ -1,8 +1,8 @@
-"""What HiGHS gains over annealing alone, on layouts that searches have found.
+"""What longer annealing and HiGHS gain (`--polish full`), on layouts that searches have found.
 
     python -m experiments.polish runs/warehouse-even runs/warehouse-uneven runs/manufacturing
 
-Each drawing is repaired as a search does and with `--polish full`, and both layouts are
+Each drawing is repaired as a search does and in full, and both layouts are
 simulated as in the search.
 """
 
@@ -77,7 +77,7 @@ def main(
     layouts: int = 67,
     out: Path = Path("runs/polish.csv"),
 ) -> None:
-    """Repair elites of finished runs with and without HiGHS, and simulate both layouts.
+    """Repair elites of finished runs as a search does and in full, and simulate both layouts.
 
     Args:
         runs: folders of runs of domains with fleets.

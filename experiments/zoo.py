@@ -6,9 +6,9 @@
 Each rule orders the elites of the run, and of further ones. Of a few that no other rule has taken,
 the first is chosen whose layout of the evaluation size can be repaired and flows in a short trial,
 or the first of all, if none does. The best is the one that is worth most at that size among a few
-(of fleets, from all over the archive), and flows there under priority-based search, too. Every
-simulation of a fleet is a row of a file and is not repeated, so this can be stopped and started
-again.
+(of fleets, from all over the archive), and flows there under priority-based search, too, if any
+does. Every simulation of a fleet is a row of a file and is not repeated, so this can be stopped and
+started again.
 """
 
 import shutil

@@ -39,7 +39,7 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
     [H, W]. Returns int32 [5, H, W], 64 for the mean cost of a move, 1 to 1023; 0 where a move is
     not allowed. Where the dearest would be above 1023, the mean is less, but 16 or more: of costs
     that are cut off at one value, none is a lane any more. Raises InputError if a cost is negative,
-    zero or no number, a robot may not wait somewhere, or a free cell cannot be reached.
+    zero or no number, a robot may not wait somewhere, or one-way lanes cut a free cell off.
     """
     costs, free = np.asarray(costs, float), np.asarray(traversable, bool)
     if costs.shape != (NUM_MOVES, *free.shape):

@@ -26,7 +26,7 @@ def traffic_flow(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
     """Charge moves for opposite traffic and for crowds where they lead.
 
     Chen et al. 2024, "Traffic flow optimisation for lifelong multi-agent path finding"
-    (https://arxiv.org/abs/2308.11234): the cost of moving from u to v is 1 + f(u, v) f(v, u) +
+    (https://arxiv.org/abs/2308.11234): the price of moving from u to v is 1 + f(u, v) f(v, u) +
     ceil((n(v) - 1) / 2) with f the tasks that move that way and n those that come to a cell.
     `legs` is float [L, 2, H, W], the odds of each cell to be the start and the end of a task, for
     each kind of task. Returns float [5, H, W].
@@ -43,7 +43,7 @@ def human_cost(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
     """Halve the cost of some of the moves that tasks make the most, and not the other way.
 
     The heat maps ("HM") of Cohen et al. 2016, "Improved solvers for bounded-suboptimal multi-agent
-    path finding", IJCAI: the cost of moving from u to v is 1 - alpha f(u, v) + beta f(v, u) +
+    path finding", IJCAI: the price of moving from u to v is 1 - alpha f(u, v) + beta f(v, u) +
     gamma^((f(u, v) + f(v, u)) / 2) with f the share of all tasks that move that way. `legs` as in
     `traffic_flow`. Returns float [5, H, W].
     """

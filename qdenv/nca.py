@@ -40,8 +40,8 @@ _MAX_WEIGHT, _MAX_HIDDEN = 2, 16  # weights, and what a hidden layer gives, are 
 # (30 * 1 + 2) * 512 * 1024 = (63 * 16 + 16) * 512 * 32 = 2^24.
 _MAX_SUMS = (30, 63)
 _LOGIT = 128  # of what the sigmoid is taken of, which is looked up
-# How often a layer's weights may be halved until they are that small. A rectified layer of half the
-# weights gives half the numbers, so that the last one's sums, doubled as often, are the same again.
+# How many powers of a half are tried until a layer's weights are that small. A rectified layer of
+# half the weights gives half the numbers: sums of the last one, doubled as often, are the same.
 _HALVINGS = 8
 _STEPS = np.arange(-8 * _LOGIT, 8 * _LOGIT) / _LOGIT
 _SIGMOID = (np.round(_OUTPUT / (1 + np.exp(-_STEPS))) / _OUTPUT).astype(np.float32)
@@ -235,7 +235,7 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
 class Update(nn.Module):
     """Changes of the logarithms of costs, [H, W, 11] -> [H, W, 5] within (-1, 1).
 
-    The inputs are these logarithms, how often each move was made, and whether it is a free cell.
+    The inputs are these logarithms, how often each move was made, and whether a robot was there.
     """
 
     kernel_sizes: Sequence[int]

@@ -17,8 +17,8 @@ from qdenv.types import InputError
 
 _SIZE = 12  # numbers of a solution
 _SPREAD = 2.0  # numbers between this and its negative choose among the values of a size
-# A mean distance counts `_WHOLE` times, another field up to as much; all sums are whole numbers, so
-# that cells are in the same order everywhere.
+# A mean distance counts `_WHOLE` times, another field up to half as much; all sums are whole
+# numbers, so that cells are in the same order everywhere.
 _WHOLE, _FINE = 64, 255
 
 

@@ -127,6 +127,14 @@ def test_compare_says_how_surely_layouts_differ(plans, capsys):
     assert "compare.csv, compare.png\nf.json\n" in said
 
 
+def test_a_plan_with_few_robots_is_compared_with_about_as_many(plans):
+    write_layout(Path("few.txt"), LANE, WAREHOUSE.tiles)
+    Path("few.toml").write_text('domain = "warehouse-even"\nrobots = 3\n')
+    assert run(["compare", "few.txt", *QUICK]) == 0
+    table = csv.DictReader(Path("compare.csv").read_text().splitlines())
+    assert [line["agents"] for line in table] == ["3"]
+
+
 def test_sweep_says_where_the_peak_is_and_how_many_are_worth_it(plans, capsys):
     assert run(["sweep", "lane.json", "--agents", "14,2,4", *QUICK, "--json", "f.json"]) == 0
     said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())

@@ -116,6 +116,9 @@ HOSTILE = {
     "deeper than any": b")" + b"\x85" * 2_000_000 + b"K\x01s.",
     "doubled key": b"}" + DOUBLED + b"K\x01s.",
     "doubled pid": DOUBLED + b"Q.",
+    "doubled key of an old dictionary": b"(" + DOUBLED + b"K\x01d.",
+    "doubled part of a set": b"\x8f(" + DOUBLED + b"\x90.",
+    "doubled part of a frozen set": b"(" + DOUBLED + b"\x91.",
     "attributes of the class": DICTIONARY + b"}" + pickle_text("zzz") + b"K\x01sb0.",
     "attributes of the builder": b"ctorch._utils\n_rebuild_tensor_v2\n}"
     + pickle_text("__defaults__") + b")sb.",

@@ -55,6 +55,12 @@ def test_the_best_is_the_start_where_no_cell_is_named(first):
     assert find_start(toy.CONFIG) is None
 
 
+def test_a_start_that_no_setting_names_is_read_again(tmp_path):
+    start = np.ones(3, np.float32)
+    assert RunDirectory.create(tmp_path, toy.CONFIG, (), start).config.start == ""
+    np.testing.assert_array_equal(RunDirectory.open(tmp_path).read_start(), start)
+
+
 def test_it_resumes_to_the_same_bits_without_the_run_that_it_began_from(first, tmp_path):
     shutil.copytree(first.path, tmp_path / "source")
     config = replace(toy.CONFIG, start=str(tmp_path / "source"), evaluations=32)

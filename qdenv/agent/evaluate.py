@@ -191,7 +191,7 @@ def compare_with_random(
     the least and largest length of the longest shortest path, as shares of its own. Each of the
     episodes per maze ends after `horizon` actions, `default_horizon` unless given; the seed is that
     of walls, headings and actions. Raises InputError for fewer than two mazes, or if 100,000 tries
-    give no such mazes.
+    give fewer such mazes.
     """
     if mazes < 2:
         raise InputError("a standard error needs at least two mazes")

@@ -1,6 +1,6 @@
 """Levels for the maze agent to train on: random walls, textures, edits; start and goal pairs.
 
-All levels have canvases of one size; small mazes lie in the first corner, amid walls.
+All levels have canvases of one size; small ones lie in the first corner amid walls.
 """
 
 from typing import NamedTuple
@@ -47,7 +47,7 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
     inside = (row < side) & (col < side)
     field = jnp.where(inside, jnp.where(kind < config.textured, texture, noise), -1.0)
-    most = config.most_walls * side**2 // n**2
+    most = min(config.most_walls, n**2) * side**2 // n**2
     count = (amount * (most + 1)).astype(jnp.int32)
     # Walls where the field is largest; the threshold lies above all of it for a count of 0.
     thresholds = jnp.append(jnp.sort(field.reshape(-1)), jnp.inf)
@@ -139,7 +139,7 @@ def draw_level(key: jax.Array, config: LevelConfig) -> Level:
 
 
 def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:
-    """Flip a few tiles of a level and pair it again, the edit of ACCEL; consumes the key.
+    """Flip a few tiles of a canvas and pair it again, the edit of ACCEL; consumes the key.
 
     Parker-Holder et al. 2022, https://arxiv.org/abs/2203.01302.
     """

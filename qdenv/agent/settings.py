@@ -57,8 +57,8 @@ class LevelConfig(Ranged):
     size: Annotated[int, Interval(ge=2, le=_LARGEST_SIDE)] = 16  # rows and columns of the largest
     # rows and columns of the smallest; by default all levels have one size
     smallest: NonNegativeInt = 0
-    # the largest has 0 to this many walls, drawn at random; smaller ones have fewer, in proportion
-    # to their area
+    # the largest has 0 to this many walls (or as many as its tiles), drawn at random; smaller ones
+    # have fewer, in proportion to their area
     most_walls: NonNegativeInt = 110
     textured: Share = 0.25  # share of levels with a repeated pattern instead of independent walls
     longest: Share = 0.5  # share of levels with start and goal farthest apart

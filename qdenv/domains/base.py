@@ -159,7 +159,7 @@ class Domain:
     # draws the hand-made layout int8 [H, W] of this size, the baseline of appendix D.2, or raises
     # `InputError` where nothing fits; None where people design none
     human: Callable[[], np.ndarray] | None = None
-    # settings that demand an exact number of one tile: name -> the tile's symbol. They scale with
+    # settings that demand a number of one tile: name -> the tile's symbol. They scale with
     # the generated area, can be read off a layout, and are options of commands.
     counted: Mapping[str, str] = field(default_factory=dict)
     # names of settings that say what robots do at their goals: options of every command that
@@ -235,7 +235,7 @@ class Domain:
         return max(rows, 0) * max(cols, 0)
 
     def limit_of(self, measure: Measure) -> float | None:
-        """Return what `measure` cannot exceed in these layouts; None if nothing limits it."""
+        """Return what `measure` cannot exceed without spare shelves; None if nothing limits it."""
         if measure.limit == "area":
             return max(self.area, 1)
         return getattr(self.config, measure.limit) if measure.limit else None
@@ -257,7 +257,7 @@ class Domain:
 
     @property
     def numbers(self) -> dict[str, int]:
-        """The exact numbers of tiles that the settings demand, by the settings' names."""
+        """The numbers of tiles that the settings demand, by the settings' names."""
         return {name: getattr(self.config, name) for name in self.counted}
 
     def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
@@ -304,7 +304,7 @@ class Domain:
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at the size of `layout` (int8 [H, W]), with its numbers of tiles.
 
-        Those that `numbers` names are exactly as many instead. Cells whose tiles have no other
+        Those that `numbers` names are as many instead. Cells whose tiles have no other
         place (`stays`) stay as this layout has them, and doors do: gaps of up to four cells in a
         wall along the layout's edge. Unless the settings say of this size already what must stay.
         """

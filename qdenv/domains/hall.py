@@ -106,8 +106,8 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: floa
     """Make the domain of shelves, and `endpoints` that robots carry goods from, to `stations`.
 
     Its alphabet `tiles` begins with `GENERATED`; of the other tiles robots drive on all but walls,
-    and none has a place of its own. `config` is a `HallConfig` or has its fields; `rate` as in
-    `TaskRule`.
+    and none has a place of its own. `config` is a `BuiltConfig` with `fleet` and `shelves`; `rate`
+    as in `TaskRule`.
     """
     drivable = "".join(tile for tile in tiles if tile not in _OBSTACLES)
     shape, kinds = (config.rows, config.cols), len(GENERATED)

@@ -26,7 +26,7 @@ from qdenv.types import DamagedError, InputError
 TEMPORARY_PREFIX = ".qdenv-tmp-"
 # Ours alone, too: old versions of the library of the lock empty the file.
 LOCK = ".qdenv-lock"
-# What runs of all kinds are made of; each has one of the first two.
+# Files of all kinds of runs; a search or a training has one of the first two.
 RUN_FILES = (
     *("config.json", "checkpoint.npz", "manifest.json", "metrics.csv", "notes.csv", "start.npz"),
     *("checkpoints", "archive.npz", "archive.png", "progress.png", "notes.png", "best_layout.png"),
@@ -265,7 +265,7 @@ def read_bytes(path: Path | str, max_bytes: int = _MAX_TEXT) -> bytes:
 def read_text(path: Path | str, max_bytes: int = _MAX_TEXT, what: str = "text") -> str:
     """Read a text file, or what a pipe gives, as UTF-8 or the UTF-16 of Windows' shell.
 
-    Raises InputError, which calls it a `what` file, if it cannot be read, is bigger, or is no text.
+    Raises InputError if it cannot be read, is bigger, or is no text, and so no `what` file.
     """
     content = read_bytes(path, max_bytes)
     try:

@@ -255,8 +255,9 @@ def write_layout(
 
     A map needs the `meanings` of the symbols: what is an obstacle. `costs` are those of moves,
     float [5, H, W], where waiting on an obstacle costs infinity. `details` are JSON-ready facts
-    beside the rows; JSON alone holds them all. Raises InputError if no layout may be so large, the
-    file would lose tiles or costs, no format has its ending, or it cannot be written.
+    beside the rows; JSON alone holds them all, others lose what `write_drawing` lists. Raises
+    InputError if no layout may be so large, a .map would lose tiles or any file costs, no format
+    has its ending, or it cannot be written.
     """
     path, rows = Path(path), draw(layout, tiles)
     ending = path.suffix.lower()

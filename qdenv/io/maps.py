@@ -35,14 +35,7 @@ _ON_RUNNERS: dict[str, Any] = {"e": "S", "w": "E", "i": "E", "o": "E", "#": "T",
 _RHCR_HEAD = re.compile(r"\d{1,5}\s*,\s*\d{1,5}")  # the first line of a .map: rows, columns
 _NUMBER = re.compile(r"\d{1,9}")
 _HOME = "r"
-_TYPES = {
-    "Travel": ".",
-    "Obstacle": "@",
-    "Endpoint": "e",
-    "Home": _HOME,
-    "Induct": "i",
-    "Eject": "o",
-}
+_TYPES = dict(Travel=".", Obstacle="@", Endpoint="e", Home=_HOME, Induct="i", Eject="o")
 _MAXTIME = 5000
 
 

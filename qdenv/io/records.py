@@ -1,4 +1,4 @@
-"""JSON and CSV of limited size, as records: every field present, known and of its own type."""
+"""JSON and CSV of limited size, as records: every field there or with a default, of its type."""
 
 import csv
 import dataclasses

@@ -92,7 +92,7 @@ def planviz(
     scheduled when the agent sets out for it.
     """
     steps = np.diff(positions, axis=0)
-    # Up and down come last: in a layout of one column they are the same steps as right and left.
+    # Up and down come first: in a layout of one column right and left are the same steps.
     kinds = [steps == step for step in grid.move_steps(width)[::-1]]
     names = np.array([*_LETTERS])
     letters = names[::-1][np.argmax(np.stack(kinds), axis=0)] if len(steps) else names[:0]

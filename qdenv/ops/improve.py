@@ -62,10 +62,10 @@ def improve(
 ) -> Table:
     """Search for a better plan than your own: lanes, some racks moved, racks in rows, a new floor.
 
-    The folder gets the four searches, a report, and a picture of what moving more racks brings. For
-    each plan that is better (by its 95 % intervals, at this number of robots and at a quarter more)
-    it gets the plan and a picture of before and after. The same command, or `qdenv resume`,
-    continues where it stopped.
+    The folder gets up to four searches and a picture of what moving more racks brings. For each
+    plan that is better (by its 95 % intervals, at this number of robots and at a quarter more) it
+    gets the plan and a picture of before and after, for all of them a report. The same command, or
+    `qdenv resume`, continues where it stopped.
 
     Args:
         layout: layout file.

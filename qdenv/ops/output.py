@@ -136,7 +136,7 @@ def format_table(rows: Iterable[Sequence[Any]]) -> list[str]:
 
 
 def format_duration(seconds: float) -> str:
-    """Write a duration in a unit that leaves two or three digits."""
+    """Write a duration in the largest unit of which it has 2.5 or more, rounded."""
     for unit, length in {"days": 86400, "h": 3600, "min": 60}.items():
         if seconds >= 2.5 * length:
             return f"{seconds / length:.0f} {unit}"
@@ -148,7 +148,7 @@ class Layout:
     """A layout that was drawn, repaired or read."""
 
     layout: np.ndarray  # int8 [H, W]
-    domain: Domain  # whose layout, at its size
+    domain: Domain  # whose layout; not always at its size
     details: Mapping[str, Any] = field(default_factory=dict)  # of its making; saved in its file
     facts: Mapping[str, Any] = field(default_factory=dict)  # as `--json` writes them
     # float [5, H, W], the cost of each move at each cell (`guidance`); None where all are equal

@@ -184,7 +184,7 @@ class _Fleets:
         largest = max(stated, default=first.facts.robots)
         usual, timesteps, note = usual_fleet(first.domain, drawn, largest, options.timesteps)
         # Larger known sizes are usual with more agents: the range grows in proportion.
-        begin, end, step = (round(one * usual / AGENTS) for one in default)
+        begin, end, step = (max(round(one * usual / AGENTS), 1) for one in default)
         counts = stated or tuple(range(begin, end + 1, step))
         self.floors = {name: plan.floor for name, plan in plans.items()}
         names = [PLANNERS.name_of(one.planner) for one in fleets]

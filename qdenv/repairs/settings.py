@@ -25,7 +25,7 @@ class RepairConfig(Ranged):
     # annealing moves per free cell; None for the number that `polish` implies
     moves_per_cell: NonNegativeInt | None = None
     gap: NonNegativeFloat = 0.0  # relative gap at which the solver stops
-    # branch-and-bound nodes of one solve; None for the number that `polish` implies
+    # branch-and-bound nodes of one solve; None for 1000
     node_limit: NonNegativeInt | None = None
     # wall-clock limit of one solve in seconds, a safety net; only a repair that reaches it is not
     # reproducible, and its status says so

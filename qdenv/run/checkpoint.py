@@ -35,7 +35,7 @@ class Manifest(NamedTuple):
 
 
 def save_checkpoint(run: Path, iteration: int, state: Any, settings: Mapping[str, Any]) -> None:
-    """Write the state of a search after `iteration`, a pytree of arrays; older ones are deleted.
+    """Write the state of a search after `iteration`, a pytree of arrays; the one before stays.
 
     `run` is the run directory; `settings`, JSON-ready, are what decides the run's result. Raises
     InputError if the file cannot be written.

@@ -50,7 +50,7 @@ class RunConfig(Ranged):
     start: str = ""
     # random seed of everything, 0 or more
     seed: Annotated[int, Interval(ge=-MOST, le=MOST)] = 0
-    checkpoint_every: PositiveInt = 5  # iterations between checkpoints; does not affect results
+    checkpoint_every: PositiveInt = 5  # most iterations between checkpoints; results are the same
 
 
 def config_to_json(config: RunConfig) -> dict[str, Any]:
@@ -143,6 +143,9 @@ def _field_paths(record: Any) -> Iterator[tuple[str, ...]]:
 
 def _replaced(record: Any, values: Mapping[tuple[str, ...], Any]) -> Any:
     """Replace settings of a record and of nested ones; those of one record are checked together."""
+    for name, *_ in values:
+        if name not in getattr(record, "__dataclass_fields__", ()):
+            raise InputError(f"{type(record).__name__} has no setting {name!r}")
     own = {path[0]: value for path, value in values.items() if len(path) == 1}
     # A whole record may be given beside single settings of it, which then replace the record's.
     for name in {path[0] for path in values if len(path) > 1}:

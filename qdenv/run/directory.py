@@ -2,7 +2,7 @@
 
 RUN/config.json             every setting, resolved; enough to run it again
 RUN/manifest.json           schema, measures, versions, device, git revision
-RUN/start.npz               the generator from which the search began, if it was one
+RUN/start.npz               the parameters with which the search began, unless they were zeros
 RUN/metrics.csv             one row per iteration
 RUN/notes.csv               one row per iteration of the algorithm's own numbers, if it has any
 RUN/checkpoints/NUMBER.npz  the search after that iteration
@@ -256,10 +256,10 @@ class RunDirectory:
 
         Raises InputError if the file is missing or damaged.
         """
-        if not self.config.start:
-            return None
         path = self.path / "start.npz"
         if not path.exists():
+            if not self.config.start:
+                return None
             raise InputError(f"{path} is missing: copy it back, or train in another folder")
         return read_arrays(path, {"solution": Column("f", 1)}, None)["solution"]
 

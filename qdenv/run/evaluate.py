@@ -189,7 +189,7 @@ def _evaluate_layouts(
 def open_evaluator(
     execution: Execution, config: RunConfig, pipeline: Pipeline, progress: Callable[[int], None]
 ) -> Iterator[LayoutEvaluator]:
-    """Yield what repairs and simulates the layouts of a run; it ends with the context.
+    """Yield what repairs and simulates the layouts of a run; a cluster's ends with the context.
 
     `progress` is called with the number of layouts that were completed. Raises InputError if
     nothing answers at the scheduler's address, or no worker joins.

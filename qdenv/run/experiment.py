@@ -23,7 +23,7 @@ _WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
 
 
 class Experiment(NamedTuple):
-    """One run's parts, built from its configuration and nothing else."""
+    """One run's parts, built from its configuration and the parameters with which it begins."""
 
     measures: tuple[Measure, ...]  # axes of the archive, with the configured ranges
     pipeline: Pipeline  # the chain from parameters to evaluation, with its domain

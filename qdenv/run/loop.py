@@ -33,7 +33,7 @@ from qdenv.search.base import Algorithm, collector, growing
 from qdenv.types import Evaluation, InputError, RepairStatus
 
 _SAVING_SHARE = 0.03  # of a run's time, for checkpoints beyond those that its settings state
-_LONGEST = 240.0  # seconds without a checkpoint, whatever it costs: no more is ever lost
+_LONGEST = 240.0  # seconds after which an iteration ends with a checkpoint, whatever it costs
 
 
 def train(

@@ -149,11 +149,11 @@ class StoredArchive(NamedTuple):
 
 
 class SearchState(NamedTuple):
-    """State of a search by emitters, or by its archives alone; one pytree."""
+    """State of a search by emitters, by a population or by its archives alone; one pytree."""
 
     key: jax.Array
-    # that of `Emitters`, which the learning archive steers; None where parents are drawn from that
-    # archive, or nothing is learnt
+    # that of `Emitters`, which the learning archive steers, or a `rearrange.Population`; None where
+    # parents are drawn from that archive, or nothing is learnt
     emitters: Any
     archives: StoredArchive
 

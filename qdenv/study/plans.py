@@ -32,7 +32,7 @@ class Plan(NamedTuple):
 
     name: str  # in tables and messages
     layout: np.ndarray  # int8 [H, W]
-    domain: Domain  # whose layout; at its default size, not fitted to this one
+    domain: Domain  # whose layout; not always at its size
     assumed: bool  # nothing but the tiles said whose layout it is
     # rows of a drawing of what must stay, as in `DomainConfig`; empty where nothing must
     keep: tuple[str, ...] = ()

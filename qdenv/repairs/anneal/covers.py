@@ -38,16 +38,15 @@ _TRIES = 4  # to find that
 _RECTANGLES_BITS = (0, 10)
 _CELL_BITS = (32, 32)
 _FOCUS_BITS = (10, 10)
-# The next:
+# The one before; its first six bits draw the tile as well:
 _SHAPE_BITS, _SHORTER_BITS, _AXIS_BITS = (0, 8), (8, 10), (18, 1)
 _LENGTH_BITS, _ROW_BITS, _COL_BITS = (20, 8), (28, 8), (36, 8)
 _SECOND_BITS, _SIDE_BITS, _DISTANCE_BITS = (44, 10), (54, 2), (56, 8)
-_TILE_BITS = 63
 
 
 @kernel
 def set_covers(covers: Covers, cells: np.ndarray, tiles: np.ndarray, changes: int) -> int:
-    """Bring the covers to `tiles` on `cells`; returns how many more members have none."""
+    """Bring the covers to `tiles` on `cells`; returns the added weight of members without one."""
     member, whole, lacking, weights = covers.member, covers.whole, covers.lacking, covers.weights
     broken = 0
     for index in range(changes):

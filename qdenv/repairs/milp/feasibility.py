@@ -1,8 +1,8 @@
 """Whether any layout obeys the rules, whatever the input: one that does, or a proof of none.
 
 Needed where annealing fails. The relaxation with a spanning tree in it (`_span`) refutes
-most of what is impossible at any size; small programs are decided by branch and cut, larger layouts
-are packed (`anneal.packing`).
+most of what is impossible, up to 20,000 free cells; small programs are decided by branch and cut,
+larger layouts are packed (`anneal.packing`).
 """
 
 import threading
@@ -77,7 +77,7 @@ def explain(rules: Rules, progress: Progress = silent) -> str | None:
 
 
 def _decide(facts: Facts, progress: Progress) -> Existence:
-    """Try the relaxation, then the solver or the packer."""
+    """Anneal, where that is fast, then try the relaxation, then the solver or the packer."""
     if facts.free_cells > highs.MAX_CELLS:
         return RepairStatus.FAILED, None
     # An annealer that pays nothing for changes is faster than a relaxation.

@@ -24,7 +24,6 @@ class Cells(NamedTuple):
 
     columns: np.ndarray  # int64 [H, W, R], the binary "the cell holds the role", -1 for none
     # int64 [H, W], the role a cell holds when none of its binaries is set, -1 where one must be set
-    # and outside the grid
     base: np.ndarray
 
     def express(self, roles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -130,7 +130,7 @@ class WindowSearch:
         return Cells(columns, np.where(free.any(-1), -1, self.roles[box]))
 
     def _rules(self, cells: Cells, box: _Box) -> list[Constraints]:
-        """State every rule of the window but connectivity."""
+        """State the rules of the window but connectivity, covers and kinds counted apart."""
         facts, columns = self.facts, cells.columns[(cells.columns >= 0).any(-1)]
         ones = np.ones(len(columns))
         rows = [Constraints(columns, np.ones(columns.shape), ones, ones)]

@@ -233,7 +233,7 @@ class LimitedMemory(base.Strategy):
         return super()._init_fields(params) | own
 
     def _sample(self, state: Any, noise: jax.Array) -> tuple[jax.Array, Any]:
-        # A vector counts from the generation in which it was first filled.
+        # One more vector counts in each generation, though the first fills all.
         used = jnp.arange(self.population_size) < state.generations
         rates = jnp.where(used, jnp.asarray(self.bend_rates, noise.dtype), 0)
 

@@ -2,7 +2,8 @@
 
 It shares no code with the simulator but the goals' weights and stays. It walks through the
 trajectory once and works out by itself what must have happened: arrivals, services, finished tasks,
-jams. Everything that disagrees is named.
+jams. It names the first breach of each rule and what disagrees, lengths of paths and the waiting of
+orders left out.
 """
 
 import numpy as np
@@ -15,7 +16,7 @@ from qdenv.types import TaskRule, Traffic
 def audit(
     layout: np.ndarray, rule: TaskRule, recording: Recording, traffic: Traffic, horizon: int = 5
 ) -> list[str]:
-    """Find everything that a run on a layout (int8 [H, W]), and its report, did against the rules.
+    """Find what a run on a layout (int8 [H, W]), or its report, has wrong by the rules.
 
     All agents are planned again every `horizon` timesteps, the windows of the jam rule. Returns
     messages, those on movement with the timestep; none when all is well.

@@ -27,7 +27,7 @@ def goal_distances(traversable: jax.Array, cells: jax.Array, used: jax.Array) ->
 
     All goals spread at the same time, 32 to a word. How long a cell stayed out of reach is counted
     in four bit planes that are added to the distances after every 15 steps: adding them at each
-    step would unpack all bits 15 times as often.
+    step would unpack bits nearly four times as often.
 
     `used` (bool [G]) marks the slots of `cells` (int32 [G]) that hold a goal. Returns the distances
     (`distance_type`) [G, H * W]; where no way leads, and in unused slots, the number for that.

@@ -84,7 +84,7 @@ def _find_partner(
 
 @inlined
 def _step_back(run: HostRun, rollout: _Rollout, puller: int, pusher: int) -> tuple[int, int]:
-    """Return how many ways, up to two, lead from the puller's cell away from the pusher's; one.
+    """Return how many ways lead from the puller's cell away from the pusher's, and one of them.
 
     A dead end that is its occupant's goal is no way.
     """

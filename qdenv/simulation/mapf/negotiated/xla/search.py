@@ -323,7 +323,8 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     """Find the best path of every agent in `local`, counting conflicts in `levels` levels.
 
     Returns rows and columns relative to the start, int32 [2, window + 1, K], and the cost int32 [K]
-    from the end of the window on (`INFEASIBLE` where nothing can be reached).
+    of the conflicts, of what is left and, where moves have costs, of the moves (`INFEASIBLE` where
+    nothing can be reached).
     """
     agent, leg = jnp.arange(local.penalty.shape[0]), jnp.arange(2)[:, None]
     # Is either goal reserved, at each timestep?
