@@ -22,7 +22,7 @@ PAGE = TESTS.parent / "notebooks" / "how_to" / "extend.md"
 
 @pytest.fixture(scope="module")
 def command(tmp_path_factory):
-    """Install the plug-in into a folder of its own, and run `qdenv` beside it."""
+    """Install the plug-in into a folder of its own, and run programs beside it."""
     place = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index"]
     source = tmp_path_factory.mktemp("source") / "plugin"  # builds leave files behind
@@ -31,17 +31,13 @@ def command(tmp_path_factory):
         (source / path.name).write_bytes(path.read_bytes())
     subprocess.run([*pip, "--no-build-isolation", "--target", str(place), str(source)], check=True)
     paths = os.pathsep.join([str(place), *filter(None, [os.environ.get("PYTHONPATH")])])
-    program = Path(sys.executable).with_name("qdenv")
 
-    def run(*arguments: object) -> str:
+    def run(*arguments: object) -> None:
+        environment = os.environ | {"PYTHONPATH": paths}
         done = subprocess.run(
-            [str(program), *map(str, arguments)],
-            env=os.environ | {"PYTHONPATH": paths},
-            capture_output=True,
-            text=True,
+            [*map(str, arguments)], env=environment, capture_output=True, text=True
         )
         assert done.returncode == 0, done.stderr
-        return done.stdout
 
     return run
 
@@ -61,7 +57,8 @@ def test_commands_know_the_domain_the_planner_and_the_algorithm(command, tmp_pat
     small += "--simulations 1 --evaluations 12 --batch 6 --sigma 0.5 --no-progress"
     chosen = ["--domain", "orchard", "--planner", "turns", "--algorithm", "mutate-best"]
     chosen += ["--planner.noise", "2.5"]
-    command("train", "quick", *chosen, *small.split(), "--run-dir", path)
+    program = Path(sys.executable).with_name("qdenv")
+    command(program, "train", "quick", *chosen, *small.split(), "--run-dir", path)
     config = json.loads((path / "config.json").read_text())
     domain = config["evaluation"]["domain"]
     assert (domain["name"], domain["trees"]) == ("orchard", 9)
@@ -71,23 +68,23 @@ def test_commands_know_the_domain_the_planner_and_the_algorithm(command, tmp_pat
     assert len(archive["index"]) >= 1
     assert ((archive["repaired"] == 1).sum(axis=(1, 2)) == 9).all()
 
-    command("resume", path, "--evaluations", 24, "--no-progress")
+    out, series, facts = (tmp_path / name for name in ("big.json", "series", "facts.json"))
+    tasks = ["--domain", "orchard", "--agents", 3, "--timesteps", 100, "--seeds", 2]
+    others = [
+        ["resume", path, "--evaluations", 24, "--no-progress"],
+        ["generate", path, "--rows", 10, "--cols", 12, "--trees", 15, "--out", out],
+        ["check", out, "--domain", "orchard", "--trees", 15],
+        ["series", path, "--sizes", "8x9", "9x11", "--trees", "9", "12", "--out", series],
+        ["simulate", out, *tasks, "--planner", "turns", "--json", facts],
+    ]
+    others = [[*map(str, one)] for one in others]
+    call = "from qdenv.cli.main import run"
+    command(sys.executable, "-c", f"{call}\nfor one in {others}:\n    assert run(one) == 0, one")
     assert RunDirectory.open(path).read_metrics()[-1].evaluations == 24
-
-    out = tmp_path / "big.json"
-    command("generate", path, "--rows", 10, "--cols", 12, "--trees", 15, "--out", out)
     layout = json.loads(out.read_text())["layout"]
     assert (len(layout), len(layout[0]), "".join(layout).count("T")) == (10, 12, 15)
-    command("check", out, "--domain", "orchard", "--trees", 15)
-
-    series = tmp_path / "series"
-    command("series", path, "--sizes", "8x9", "9x11", "--trees", "9", "12", "--out", series)
     table = list(csv.DictReader((series / "series.csv").read_text().splitlines()))
     assert [row["trees"] for row in table] == ["9", "12"]
-
-    facts = tmp_path / "facts.json"
-    tasks = ["--domain", "orchard", "--agents", 3, "--timesteps", 100, "--seeds", 2]
-    command("simulate", out, *tasks, "--planner", "turns", "--json", facts)
     found = json.loads(facts.read_text())
     assert (found["domain"], found["valid"]) == ("orchard", True)
     assert found["planner"] == "turns, noise 1.5"
