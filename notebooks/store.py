@@ -9,6 +9,7 @@ The cell that installs qdenv stands here once and is put into every notebook.
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import nbformat
 from nbconvert.preprocessors import ExecutePreprocessor
@@ -40,10 +41,12 @@ def with_install(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
     return notebook
 
 
-def execute(notebook: nbformat.NotebookNode, folder: str) -> nbformat.NotebookNode:
+def execute(notebook: nbformat.NotebookNode, folder: str, **more: Any) -> nbformat.NotebookNode:
     """Run a notebook from top to bottom in a folder; an error in a cell is raised."""
     runner = ExecutePreprocessor(timeout=600, kernel_name="python3")
-    runner.preprocess(notebook, {"metadata": {"path": folder}})
+    runner.preprocess(notebook, {"metadata": {"path": folder}}, **more)
+    if runner.kc:  # to a kernel that was given, and goes on
+        runner.kc.stop_channels()
     return notebook
 
 

@@ -3,10 +3,12 @@
 import json
 import re
 import runpy
+from collections.abc import Iterator
 from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client import KernelManager
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -39,14 +41,25 @@ def count(notebook, sign: str) -> int:
     return sum(page.count(sign) for page in pages)
 
 
+@pytest.fixture(scope="module")
+def kernel() -> Iterator[KernelManager]:
+    """One kernel for all: packages are imported, and functions compiled, once."""
+    manager = KernelManager()
+    manager.start_kernel()
+    yield manager
+    manager.shutdown_kernel(now=True)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path, tmp_path):
+def test_notebook_runs(path, kernel, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     for cell in notebook.cells:  # shorter searches, and what follows from them: the same cells
         cell.source = re.sub(r"\bevaluations=\d+", "evaluations=25", cell.source)
         cell.source = re.sub(r"\b(mazes|runs)=\d+", r"\1=2", cell.source)
-    notebook = STORE["execute"](notebook, str(tmp_path))
+    fresh = f"%reset -f\n%cd -q {tmp_path}"  # no name of another notebook is known
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(fresh))
+    notebook = STORE["execute"](notebook, str(tmp_path), km=kernel)
     assert count(notebook, "<img") >= PICTURES[path.stem]
     assert count(notebook, "<iframe") == PAGES.get(path.stem, 0)
 
