@@ -9,6 +9,7 @@ from qdenv.cli.main import run
 from qdenv.configurations import find_preset
 from qdenv.grid import draw
 from qdenv.ops.options import Fleet, read_plan
+from qdenv.ops.output import Layout
 from qdenv.study.plans import resolve_plan
 
 pytestmark = pytest.mark.usefixtures("folder")
@@ -105,6 +106,14 @@ def test_a_file_of_hers_is_not_replaced(caplog):
     Path("new.toml").write_text("robots = 3")
     assert run(["repair", "plan.txt", "--keep", "0:2,0:6", "--out", "new.txt"]) == 0
     assert Path("new.toml").read_text() == "robots = 3"
+
+
+def test_what_a_format_cannot_hold_is_logged(caplog):
+    caplog.set_level("INFO", "qdenv")
+    save()
+    plan = read_plan("plan.txt")
+    Layout(plan.layout, plan.fitted()).save("plan.grid")
+    assert any("tells" in line and "apart" in line for line in caplog.messages), caplog.messages
 
 
 @pytest.mark.parametrize(

@@ -250,12 +250,12 @@ def write_layout(
     costs: np.ndarray | None = None,
     /,
     **details: Any,
-) -> None:
+) -> list[str]:
     """Write a layout (int8 [H, W]) atomically, in the usual format of its ending.
 
     A map needs the `meanings` of the symbols: what is an obstacle. `costs` are those of moves,
     float [5, H, W], where waiting on an obstacle costs infinity. `details` are JSON-ready facts
-    beside the rows; JSON alone holds them all, others lose what `write_drawing` lists. Raises
+    beside the rows, which JSON alone holds all. Returns what is left out, a line each. Raises
     InputError if no layout may be so large, a .map would lose tiles or any file costs, no format
     has its ending, or it cannot be written.
     """
@@ -281,7 +281,7 @@ def write_layout(
             symbol: tile._replace(obstacle=symbol in blocked) for symbol, tile in every.items()
         }
     drawing = Drawing(rows, weights=weights, details=details)
-    write_drawing(path, drawing, meanings, None if ending in ALL_ENDINGS else "json")
+    return write_drawing(path, drawing, meanings, None if ending in ALL_ENDINGS else "json")
 
 
 def write_json_rows(path: Path, drawing: Drawing, _: Mapping[str, Tile]) -> None:

@@ -158,7 +158,7 @@ class Layout:
         """Write a layout file with the domain and the details in it.
 
         Beside text and CSV, which hold none, domain, cells that must stay, rules and tasks are
-        facts in a .toml of the same name.
+        facts in a .toml of the same name. What another format leaves out is logged.
 
         Args:
             path: of the file, whose ending chooses the format.
@@ -175,14 +175,15 @@ class Layout:
         tiles, meanings, costs = self.domain.tiles, self.domain.meanings, self.costs
         if costs is not None:
             costs = np.where(self.domain.drivable(self.layout), costs, np.inf)
-        write_layout(path, self.layout, tiles, meanings, costs, **details)
+        lost = write_layout(path, self.layout, tiles, meanings, costs, **details)
         path = Path(path)
         if path.suffix.lower() in (".txt", ".csv"):
             stale = path.with_suffix(".toml").exists()
             if stale or facts or not is_plain(self.layout, self.domain):
                 beside = write_facts(path, own | ({"facts": facts} if facts else {}))
-                mine = f"{path.with_suffix('.toml')} is not of qdenv: not replaced"
-                say(mine if beside is None else beside)
+                say(beside or f"{path.with_suffix('.toml')} is not of qdenv: not replaced")
+        else:
+            say(*lost)
         return path
 
     def draw(self, path: str | Path) -> Path:
