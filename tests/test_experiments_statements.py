@@ -175,7 +175,7 @@ def test_the_page_states_table_4_and_how_its_rows_compare():
         if algorithm != "cma-es":
             assert paper.split(", 0")[0] in PAGE
     score = {run.name: numbers(run.name, "objective").sum() for run in RUNS.iterdir()}
-    for run in ("maze-walls", "maze-entropy", "warehouse-even", "warehouse-uneven"):
+    for run in (*FLEETS, "maze-walls", "maze-entropy"):
         more = score[run] / score[f"{run}-map-elites"]
         theirs = TABLE_4[run, "cma-mae"].qd_score / TABLE_4[run, "map-elites"].qd_score
         assert f"CMA-MAE has {more:.1f} times its QD-score (paper {theirs:.1f} times)" in PAGE
