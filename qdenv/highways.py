@@ -60,7 +60,7 @@ def human_cost(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
 def _plan(
     traversable: np.ndarray, legs: np.ndarray, contraflow: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Plan all tasks; return the costs of moves at the end, and which moves exist ([5, H, W])."""
+    """Plan all tasks; return the prices of moves at the end, and which moves exist ([5, H, W])."""
     rng, free = np.random.default_rng(_SEED), np.pad(traversable, 1)
     kinds = rng.integers(len(legs), size=_TASKS)
     ends = np.empty((2, _TASKS), np.int64)
@@ -79,7 +79,7 @@ def _price(free: np.ndarray, steps: np.ndarray, ends: np.ndarray, contraflow: bo
     """Plan tasks on a walled grid, bool [N], all of whose free cells hang together.
 
     `steps` is what moves add to a cell, `ends` int [2, tasks] are the cells where tasks start and
-    end. Returns the costs of moves, float [5, N], infinite where there is none, and for waiting.
+    end. Returns the prices of moves, float [5, N], infinite where there is none, and for waiting.
     """
     tasks = ends.shape[1]
     uses, visits = np.zeros((NUM_MOVES, free.size), np.int64), np.zeros(free.size, np.int64)

@@ -63,8 +63,7 @@ def difference(ours: Sample, theirs: Sample) -> Difference:
     https://doi.org/10.2307/2332510), so that it excludes 0 % just where Welch's t-test finds the
     means different.
 
-    There is no interval if either mean has fewer than two runs, or if `theirs` is so uncertain that
-    it might be 0.
+    There is no interval if either mean has fewer than two runs, or if `theirs` may well be 0.
     """
     parts = np.square([ours.error, theirs.error])
     if np.isnan(parts).any() or not parts.any():

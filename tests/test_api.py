@@ -156,6 +156,7 @@ def test_settings_are_replaced_by_name_however_deep_they_lie():
         ({"evaluations": 0}, "at least 1"),
         ({"algorithm": "luck"}, "unknown algorithm 'luck'"),
         ({"evaluation__repair__luck": 1}, "RepairConfig has no setting 'luck'"),
+        ({"evaluation__seed__luck": 1}, "EvaluationConfig has no setting 'seed'"),
     ):
         with pytest.raises(InputError, match=said):
             override(quick, settings)

@@ -242,6 +242,14 @@ def test_far_pairs_are_nearly_the_longest():
     assert int(find(keys[0], jnp.ones((8, 8), jnp.int8)).length) == 0
 
 
+@pytest.mark.parametrize(("size", "most"), [(16, 999), (300, 90_000)])
+def test_large_mazes_have_up_to_as_many_walls_as_tiles(size, most):
+    config = levels.LevelConfig(size=size, most_walls=most, textured=0.0)
+    draw = jax.jit(jax.vmap(lambda key: levels.draw_layout(key, config, jnp.int32(size))))
+    shares = np.asarray(draw(jax.random.split(jax.random.key(0), 16)).mean(axis=(1, 2)))
+    assert shares.min() < 0.2 and shares.max() > 0.8 and 0.3 < shares.mean() < 0.7
+
+
 def test_trials_fill_the_buffer_with_scores():
     state, go = start(CONFIG), jax.jit(update, static_argnums=1)
     for _ in range(3):

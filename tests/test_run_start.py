@@ -59,6 +59,9 @@ def test_a_start_that_no_setting_names_is_read_again(tmp_path):
     start = np.ones(3, np.float32)
     assert RunDirectory.create(tmp_path, toy.CONFIG, (), start).config.start == ""
     np.testing.assert_array_equal(RunDirectory.open(tmp_path).read_start(), start)
+    (tmp_path / "config.json").unlink()  # as if it had been killed before it wrote that
+    RunDirectory.create(tmp_path, toy.CONFIG, ())
+    assert RunDirectory.open(tmp_path).read_start() is None
 
 
 def test_it_resumes_to_the_same_bits_without_the_run_that_it_began_from(first, tmp_path):

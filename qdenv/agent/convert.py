@@ -89,8 +89,9 @@ class _Unpickler(pickle._Unpickler):
         pickle.EMPTY_DICT[0]: lambda self: self.append(_Names()),
         pickle.BUILD[0]: load_build,
     }
-    for code in (pickle.DICT, pickle.EMPTY_SET, pickle.FROZENSET):  # names of any type
+    for code in (pickle.DICT, pickle.EMPTY_SET, pickle.FROZENSET):  # with names of any type
         del dispatch[code[0]]
+    del code
 
 
 def _cut(storage: Any, offset: Any, size: Any, stride: Any, *flags: Any) -> np.ndarray:

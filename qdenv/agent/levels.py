@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from qdenv.agent.settings import LevelConfig
 from qdenv.simulation.maze import world
@@ -47,7 +48,7 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
     inside = (row < side) & (col < side)
     field = jnp.where(inside, jnp.where(kind < config.textured, texture, noise), -1.0)
-    most = min(config.most_walls, n**2) * side**2 // n**2
+    most = jnp.asarray(min(config.most_walls, n**2) * np.arange(n + 1) ** 2 // n**2)[side]
     count = (amount * (most + 1)).astype(jnp.int32)
     # Walls where the field is largest; the threshold lies above all of it for a count of 0.
     thresholds = jnp.append(jnp.sort(field.reshape(-1)), jnp.inf)
@@ -131,7 +132,8 @@ def draw_level(key: jax.Array, config: LevelConfig) -> Level:
     layout_key, pair_key, key = jax.random.split(key, 3)
     smallest = config.smallest or config.size
     side = jax.random.randint(jax.random.fold_in(key, 1), (), smallest, config.size + 1)
-    low, high = (steps * (side + 2) ** 2 // (config.size + 2) ** 2 for steps in config.horizon)
+    shares = np.arange(2, config.size + 3) ** 2, (config.size + 2) ** 2  # of areas: in 64 bits
+    low, high = (jnp.asarray(steps * shares[0] // shares[1])[side] for steps in config.horizon)
     span, kind = jax.random.uniform(key, (2,))
     horizon = low + (span * (high + 1 - low)).astype(jnp.int32)
     layout = draw_layout(layout_key, config, side)
@@ -139,7 +141,7 @@ def draw_level(key: jax.Array, config: LevelConfig) -> Level:
 
 
 def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:
-    """Flip a few tiles of a canvas and pair it again, the edit of ACCEL; consumes the key.
+    """Flip a few of its size x size tiles and pair it again, the edit of ACCEL; consumes the key.
 
     Parker-Holder et al. 2022, https://arxiv.org/abs/2203.01302.
     """

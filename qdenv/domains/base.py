@@ -113,8 +113,7 @@ class Simulator(NamedTuple):
     # (tables, key) -> one run (a record of arrays); consumes the key
     run: Callable[[Any, Any], Any]
     tasks: TaskRule | None = None  # what a fleet does; None where no fleet drives
-    # (tables, key) -> int32 [5, H, W], how often each move was made in a run; None where no fleet
-    # drives
+    # (tables, key) -> int32 [5, H, W], how often each move was made; None where no fleet drives
     count_moves: Callable[[Any, Any], Any] | None = None
     # runs computed side by side (vmap) on an accelerator; the rest wait in line (scan)
     accelerator_lanes: int = 128
@@ -235,7 +234,7 @@ class Domain:
         return max(rows, 0) * max(cols, 0)
 
     def limit_of(self, measure: Measure) -> float | None:
-        """Return what `measure` cannot exceed without spare shelves; None if nothing limits it."""
+        """Return what `measure` cannot exceed (no spare shelves counted); None if unlimited."""
         if measure.limit == "area":
             return max(self.area, 1)
         return getattr(self.config, measure.limit) if measure.limit else None
@@ -264,7 +263,7 @@ class Domain:
         """Make the same domain at another size, `rows` x `cols` with the frame.
 
         What the settings say of single cells stays only if the size is the same.
-        Exact numbers of tiles that `numbers` leaves out are the known ones of the size, or scale
+        Numbers of tiles that `numbers` leaves out are the known ones of the size, or scale
         with the generated area. Raises InputError for numbers that are not of this domain, or if
         this domain's own size has no generated area.
         """
@@ -304,7 +303,7 @@ class Domain:
     def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
         """Make the same domain at the size of `layout` (int8 [H, W]), with its numbers of tiles.
 
-        Those that `numbers` names are as many instead. Cells whose tiles have no other
+        `numbers` replace those that they name. Cells whose tiles have no other
         place (`stays`) stay as this layout has them, and doors do: gaps of up to four cells in a
         wall along the layout's edge. Unless the settings say of this size already what must stay.
         """

@@ -49,7 +49,7 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
     if min(rows, cols) < _STAND_ALONE_FROM:
         picture = station_blocks(rows, cols)
     else:
-        # Single stations, endpoints above and below, but at the edge, and lanes (Figure 14b).
+        # Single stations with lanes, and endpoints above and below if rows are left (Figure 14b).
         picture = np.full((rows, cols), ".")
         for row, symbol in enumerate("ese"):
             picture[row :: _SPACING[0], 1 : cols - 1 : _SPACING[1]] = symbol

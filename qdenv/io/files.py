@@ -184,7 +184,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def refuse_links(folder: Path) -> None:
-    """Raise InputError if a file of a run is a link to a file that would be written."""
+    """Raise InputError if anything in a folder, or in a folder in it, is a link."""
     for path in (*folder.glob("*"), *folder.glob("*/*")):
         if path.is_symlink():
             raise InputError(f"{path}: is a link, and would be written through: move it away first")
@@ -265,7 +265,7 @@ def read_bytes(path: Path | str, max_bytes: int = _MAX_TEXT) -> bytes:
 def read_text(path: Path | str, max_bytes: int = _MAX_TEXT, what: str = "text") -> str:
     """Read a text file, or what a pipe gives, as UTF-8 or the UTF-16 of Windows' shell.
 
-    Raises InputError if it cannot be read, is bigger, or is no text, and so no `what` file.
+    Raises InputError if it cannot be read, is bigger, or is no text: "not a `what` file".
     """
     content = read_bytes(path, max_bytes)
     try:

@@ -236,7 +236,7 @@ def aliases(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> dict[str
 def endings_for(
     tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS, costs: bool = False
 ) -> tuple[str, ...]:
-    """List the endings of files that can hold every tile of an alphabet, and `costs` of moves."""
+    """List endings of files that hold every tile of an alphabet, and costs of moves if `costs`."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
     plain = [ending for ending in ENDINGS if every or ending != ".map"]
     return tuple(one for one in (*plain, *LIBRARIES) if not costs or holds(one, "weights"))
@@ -255,7 +255,7 @@ def write_layout(
 
     A map needs the `meanings` of the symbols: what is an obstacle. `costs` are those of moves,
     float [5, H, W], where waiting on an obstacle costs infinity. `details` are JSON-ready facts
-    beside the rows, which JSON alone holds all. Returns what is left out, a line each. Raises
+    beside the rows; JSON alone holds all. Returns what is left out, a line each. Raises
     InputError if no layout may be so large, a .map would lose tiles or any file costs, no format
     has its ending, or it cannot be written.
     """

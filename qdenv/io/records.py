@@ -1,4 +1,4 @@
-"""JSON and CSV of limited size, as records: every field there or with a default, of its type."""
+"""JSON and CSV of limited size, as records: fields have their types, defaults may be missing."""
 
 import csv
 import dataclasses

@@ -158,7 +158,7 @@ class Layout:
         """Write a layout file with the domain and the details in it.
 
         Beside text and CSV, which hold none, domain, cells that must stay, rules and tasks are
-        facts in a .toml of the same name. What another format leaves out is logged.
+        facts in a .toml of the same name. What another leaves out, but the domain, is logged.
 
         Args:
             path: of the file, whose ending chooses the format.

@@ -285,7 +285,7 @@ def export(
         solutions: add the parameters of the generators to the table.
 
     Returns:
-        the files that were written.
+        the table, and the folder of layouts, that were written.
 
     Raises:
         InputError: there is no run, a name is impossible, or a package is missing.

@@ -173,8 +173,7 @@ def assign_kinds(
         for cell in map(tuple, rng.permutation(np.argwhere(mine & ~stays))):
             ranks = []
             for kind in members:
-                # How the excess changes if one more tile of this kind joins, then the number of
-                # them.
+                # How the excess changes if one more tile of this kind joins, then their number.
                 change = 0
                 for low, high, kinds in bounds:
                     if kind in kinds:

@@ -19,8 +19,8 @@ class RepairConfig(Ranged):
     """Limits of one repair; all but `time_limit` are deterministic."""
 
     # "none" anneals as little as is safe, "quick" as long as a search can afford, "full" longer;
-    # then the solver improves windows, bounds the whole layout up to 20,000 free cells, and up
-    # to 10,000, where that bound is near the cost, branches on it
+    # then the solver improves windows (but for rules on aisles and racks), bounds the whole layout
+    # up to 20,000 free cells, and up to 10,000, if that bound is near the cost, branches on it
     polish: Polish = "quick"
     # annealing moves per free cell; None for the number that `polish` implies
     moves_per_cell: NonNegativeInt | None = None
@@ -28,7 +28,7 @@ class RepairConfig(Ranged):
     # branch-and-bound nodes of one solve; None for 1000
     node_limit: NonNegativeInt | None = None
     # wall-clock limit of one solve in seconds, a safety net; only a repair that reaches it is not
-    # reproducible, and its status says so
+    # reproducible, and its status says so unless it is proven optimal
     time_limit: Annotated[float, Interval(gt=0)] = 1800.0
     # threads that repair layouts of a batch; None for one per core
     workers: NonNegativeInt | None = None

@@ -124,8 +124,10 @@ class RunDirectory:
         }
         write_json(run.path / "manifest.json", manifest)
         write_csv(run.path / METRICS, Metrics._fields, [])
+        place = run.path / "start.npz"
+        place.unlink(missing_ok=True)  # of a process that was killed here
         if start is not None:
-            write_arrays(run.path / "start.npz", {"solution": start})
+            write_arrays(place, {"solution": start})
         run.write_config(config)  # last: a folder with a configuration counts as a run
         return run
 
@@ -254,7 +256,7 @@ class RunDirectory:
     def read_start(self) -> np.ndarray | None:
         """Read the parameters from which the search began, float [P]; None for zeros.
 
-        Raises InputError if the file is missing or damaged.
+        Raises InputError if the file is damaged, or missing though the settings name a start.
         """
         path = self.path / "start.npz"
         if not path.exists():

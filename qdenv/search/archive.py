@@ -25,7 +25,7 @@ class Insertion(NamedTuple):
     """How an archive received each solution of a batch, compared with the archive before it."""
 
     status: jax.Array  # int32 [B], 2 fills a new cell, 1 improves a filled one, 0 is not accepted
-    value: jax.Array  # float [B], objective minus a finite threshold; -inf for a failed solution
+    value: jax.Array  # float [B], objective minus the threshold (-inf counts 0); -inf for a failure
 
 
 class GridArchive(MapElitesRepertoire):

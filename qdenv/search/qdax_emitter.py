@@ -26,8 +26,8 @@ class CmaMaeEmitter(Emitter):
     """Emit the solutions of E evolution strategies steered by a soft archive.
 
     The driver's fitness is the objective of both archives. To steer by another one, let the
-    scoring function return it as the extra score ``learning_fitness``, float [B]. Solutions of a
-    later batch whose fitness is not finite count as failed.
+    scoring function return it as the extra score ``learning_fitness``, float [B]. Solutions
+    whose fitness is not finite count as failed, but for those of `init`.
 
     CMA-MAE needs no first population. Begin with an empty one, ``driver.init(jnp.zeros((0, P)),
     None, key)`` with `GridArchive.init` as the driver's repertoire: then the loop is that of

@@ -66,7 +66,7 @@ Ahead = Annotated[int, Interval(ge=0, le=1000)]  # no cluster needs more than th
 
 @dataclass(frozen=True)
 class CmaMaeConfig(Ranged):
-    """Settings of CMA-MAE; the defaults are the paper's (Table 1)."""
+    """Settings of CMA-MAE; the defaults are the paper's for all but mazes (Table 1)."""
 
     emitters: PositiveInt = 5  # evolution strategies E running side by side
     batch: PositiveInt = 10  # solutions b of each emitter per iteration

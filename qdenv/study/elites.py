@@ -41,7 +41,7 @@ class Unrepaired(NamedTuple):
     elite: Elite | None  # whose layout; None where no elite drew it (a tiled layout)
     layout: np.ndarray  # int8 [H, W]
     steps: int  # of growth; 0 where nothing grew
-    repair: RepairConfig = RepairConfig()  # the search's if it simulated this
+    repair: RepairConfig = RepairConfig()  # that of its search, or in full at another size
 
 
 class Sized(NamedTuple):

@@ -85,8 +85,8 @@ class Peak(NamedTuple):
     agents: int  # where the mean throughput peaks, the maximum scalability of section E.3
     throughput: float  # the peak: tasks per timestep, averaged over all runs, congested ones too
     success_rate: float  # of the runs at the peak
-    # throughput did not rise at the next number of agents; False where it still rose at the last
-    # one tried, so that the true peak may lie higher
+    # throughput did not rise at the next number of agents; False where no larger one was tried, so
+    # that the true peak may lie higher
     dropped: bool
 
 

@@ -191,8 +191,7 @@ class Surrogate:
             )
             stats = changed.get("batch_stats", {})
             if name == "repair":
-                # The gradient of looking a label up is a scatter: XLA takes seconds to compile
-                # it, and warns.
+                # The gradient of looking a label up is a scatter, which XLA compiles for seconds.
                 labels = jax.nn.one_hot(batch.repaired, self._encoding.kinds)
                 return optax.softmax_cross_entropy(result, labels).mean(), stats
             if name == "usage":

@@ -204,8 +204,7 @@ def _save_mp4(path: Path, pictures: Iterator[Image.Image]) -> None:
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-f", "rawvideo"]
         command += ["-pix_fmt", "rgb24", "-s", "{}x{}".format(*first.size)]
         command += ["-r", f"{RATES['.mp4']}", "-i", "-"]
-        # H.264 in the form that every browser plays, and from its beginning before all of it is
-        # there.
+        # H.264 in the form that every browser plays, and begins to play before all is there.
         command += ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "28", "-preset", "veryfast"]
         command += ["-movflags", "+faststart", str(film)]
         # A group of its own: Ctrl-C is for this program, which ends the encoder by itself.

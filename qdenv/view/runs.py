@@ -134,8 +134,8 @@ def plot_run(
 
     They go to `folder`, the run's own unless given, in the form png, svg or pdf; archive and
     progress are `width` inches wide, or suit a screen. Return the pictures, without one of the best
-    layout if the archive is empty. Raises InputError if the run has saved no archive yet, a file of
-    it is damaged, or it ships with the package and no other folder is given.
+    layout if the archive is empty. Raises InputError if the run has saved no archive yet or one of
+    more than two measures, a file is damaged or cannot be written, or it is the zoo's own folder.
     """
     if folder is None:
         run.demand_own()

@@ -147,7 +147,7 @@ def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float) -
     """Draw the share of a maze's episodes that have reached the goal over the actions taken.
 
     `arrivals` are the actions to the goal by the maze's name, float [episodes], NaN if an episode
-    failed; `most` is the largest number that any may take.
+    failed; `most` is the largest number of actions of any.
     """
     figure = new_figure(width, 0.48 * width)
     axes = figure.subplots()

@@ -46,7 +46,7 @@ _SECOND_BITS, _SIDE_BITS, _DISTANCE_BITS = (44, 10), (54, 2), (56, 8)
 
 @kernel
 def set_covers(covers: Covers, cells: np.ndarray, tiles: np.ndarray, changes: int) -> int:
-    """Bring the covers to `tiles` on `cells`; returns the added weight of members without one."""
+    """Bring the covers to `tiles` on `cells`; returns how much the uncovered weight grows."""
     member, whole, lacking, weights = covers.member, covers.whole, covers.lacking, covers.weights
     broken = 0
     for index in range(changes):

@@ -1,8 +1,8 @@
 """Whether any layout obeys the rules, whatever the input: one that does, or a proof of none.
 
-Needed where annealing fails. The relaxation with a spanning tree in it (`_span`) refutes
-most of what is impossible, up to 20,000 free cells; small programs are decided by branch and cut,
-larger layouts are packed (`anneal.packing`).
+Needed where annealing fails, up to 20,000 free cells. The relaxation with a spanning tree in it
+(`_span`) refutes most of what is impossible; up to 120 cells are decided by branch and cut, more
+are packed (`anneal.packing`).
 """
 
 import threading

@@ -172,7 +172,7 @@ def improve(
     """Improve the feasible layout of `start` by branch and cut, and bound what is possible.
 
     Returns the best layout found for the input `layout` (int8 [H, W]), never worse than `start`,
-    with the status of the last solve.
+    OPTIMAL if proven, with the status of `start` if nothing branched, else that of a limit.
     """
     program, best = build(layout, facts), start
     relaxed = solve_relaxation(program)

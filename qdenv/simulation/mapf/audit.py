@@ -2,8 +2,8 @@
 
 It shares no code with the simulator but the goals' weights and stays. It walks through the
 trajectory once and works out by itself what must have happened: arrivals, services, finished tasks,
-jams. It names the first breach of each rule and what disagrees, lengths of paths and the waiting of
-orders left out.
+jams. It names the first breach of each rule of movement, what is wrong with tasks at each timestep,
+and numbers that disagree, but no lengths of paths and no waiting of orders.
 """
 
 import numpy as np

@@ -55,8 +55,8 @@ def prepare(
     """Build what all runs on one layout (int8 [H, W]) share: goals, distances, walls.
 
     `costs` are those of each move at each cell (int32 [5, H, W], see `guidance.fixed_costs`).
-    Raises InputError if the window, or a stay at a goal, is longer than the planner understands, or
-    if it knows no costs of moves.
+    Raises InputError if the window, or a stay that all layouts share, is longer than the planner
+    understands, or if it knows no costs of moves. Other such stays make the world invalid.
     """
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)

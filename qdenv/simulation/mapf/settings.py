@@ -39,7 +39,7 @@ class FleetConfig(Ranged):
     # number of robots, or the largest number if `simulate` takes fewer
     agents: PositiveInt = 200
     timesteps: PositiveInt = 1000  # length of a simulation, T in the paper
-    # timesteps planned ahead; a planner may plan fewer, but at least the horizon, without conflict
+    # timesteps planned ahead, at most what the planner can do; at least the horizon has no conflict
     window: PositiveInt = 10
     horizon: PositiveInt = 5  # timesteps driven before planning again, the replanning period
     # settings record of the planner; its type says which one of `PLANNERS`

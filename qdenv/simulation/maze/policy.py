@@ -1,7 +1,7 @@
 """The maze agent's network: convolution, compass, LSTM, actor and critic; load and save.
 
 The architecture is the published one (433,953 parameters with 256 units and 7 actions, two of whose
-biases are one here), with the number of units and of actions read off the weights.
+bias vectors are one here), with the number of units and of actions read off the weights.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Fallback(NamedTuple):
 
 
 def compile_windows(plan_window: Callable[..., int]) -> Callable[..., int]:
-    """Compile the loop over the windows of a run, by the annotations of `run_windows` below.
+    """Make the loop over the windows of a run, which numba compiles at its first call.
 
     `plan_window`, (run, fields, plan, fallback, seed) -> status, sets ``fallback.path`` and
     ``fallback.is_used`` and changes nothing else of the run. It is `native.shared`, found by its

@@ -33,7 +33,7 @@ class GridMap(NamedTuple):
     costs: np.ndarray = np.zeros((NUM_MOVES, 0), np.int32)
     # int32 [K], odds of orders per timestep (`chance.poisson`); empty where work never runs out
     orders: np.ndarray = np.zeros(0, np.int32)
-    slot: np.ndarray = np.zeros(0, np.int64)  # int64 [N], the goal on each cell
+    slot: np.ndarray = np.zeros(0, np.int64)  # int64 [N], slot of the goal on each cell, or 0
 
 
 class RunSettings(NamedTuple):
@@ -60,7 +60,7 @@ class HostRun(NamedTuple):
     age: np.ndarray  # int64 [A], timesteps since the last finished task
     legs: np.ndarray  # int64 [A], tasks finished since all were planned
     paths: np.ndarray  # int64 [A, w + 1], the plan from here on
-    stuck: np.ndarray  # bool [A], whether the agent neither served, idled nor moved before its end
+    stuck: np.ndarray  # bool [A], neither served, idle nor moving in this window but its last step
     counters: Numbers  # time, congested_at, moves and idle; waiting and begun of `metrics.Orders`
     waited: np.ndarray  # float32 [1], timesteps that all orders waited
     finished: np.ndarray  # int32 [T], T rounded up to whole windows

@@ -10,8 +10,7 @@ the *conflict levels*, which stands for all larger numbers. These are the soft o
 in MAPF-LNS2 (Li et al. 2022, https://doi.org/10.1609/aaai.v36i9.21266), at a price as in PathFinder
 (McMurchie & Ebeling 1995, https://doi.org/10.1145/201310.201328).
 
-The five moves, in the order of every tuple and plane, are those of `qdenv.grid`: wait, right, left,
-down, up.
+Tuples and planes have the five moves in the order of `qdenv.grid`: wait, right, left, down, up.
 """
 
 from typing import Generic, NamedTuple, TypeVar

@@ -142,8 +142,7 @@ def roll_out(
             rollout.remaining_service[agent] = left
             rollout.age[agent] += 1
             if finished:
-                # The goal after the next is not known here: having served both, an agent drives on
-                # freely.
+                # The goal after the next is not known here: after both, an agent drives freely.
                 rollout.stage[agent], rollout.age[agent] = 1, 0
 
 

@@ -37,7 +37,7 @@ class ReachableSet(NamedTuple):
 
     cells: jax.Array  # uint32 [L, 2, E, K], reached by driving, goals included
     served: jax.Array  # uint32 [L, 2, K], bit e: serving for e timesteps
-    # uint32 [L, 2, 1, K], mask: on leg 1, service at the current goal just ended
+    # uint32 [L, 2, 1, K], mask: service just ended on leg 1; on leg 0, the agent begins on its goal
     just_served: jax.Array
 
 
@@ -323,8 +323,8 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
     """Find the best path of every agent in `local`, counting conflicts in `levels` levels.
 
     Returns rows and columns relative to the start, int32 [2, window + 1, K], and the cost int32 [K]
-    of the conflicts, of what is left and, where moves have costs, of the moves (`INFEASIBLE` where
-    nothing can be reached).
+    of conflicts, of the way left after the window and, where moves have costs, of the moves
+    (`INFEASIBLE` where nothing can be reached).
     """
     agent, leg = jnp.arange(local.penalty.shape[0]), jnp.arange(2)[:, None]
     # Is either goal reserved, at each timestep?
