@@ -193,8 +193,19 @@ def test_the_page_states_table_4_and_how_its_rows_compare():
 def test_the_page_states_what_fleets_move():
     moved = {(*row[:3], row[4][:3]): row[6] for row in table("table_5")}
     for (_, maker, *_), text in moved.items():
-        if "zoo" in maker and "+-" in text:
+        if ("zoo" in maker or "alpha" in maker) and "+-" in text:
             assert text.replace("+-", "±") in PAGE
+    ours, theirs = next((row[6], row[7]) for row in table("table_5") if "alpha = 0" in row[1])
+    more = 100 * (float(theirs.split()[0]) / float(ours[:5]) - 1)
+    assert f"paper {theirs}, **{more:.1f} % more**), with alpha = 1" in PAGE
+    succeed = [
+        row[5].split(" ")[0]
+        for row in table("table_5")
+        if row[1:3] == ["CMA-ES + NCA", "101 x 102"]
+    ]
+    good, runs = succeed[0].split("/")
+    assert f" {good} of {runs} do)" in PAGE
+    assert f"{int(runs) - int(good)} of CMA-ES's {runs} runs congest" in PAGE
     uneven = moved["warehouse-uneven", "CMA-MAE + NCA, first zoo", "101 x 102", "our"]
     theirs = TRAFFIC["warehouse-uneven", "nca", 1000].throughput
     assert f"**{100 * (1 - float(uneven[:6]) / theirs):.1f} % below the paper's**" in PAGE
