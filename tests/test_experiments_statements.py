@@ -198,12 +198,8 @@ def test_the_page_states_what_fleets_move():
     ours, theirs = next((row[6], row[7]) for row in table("table_5") if "alpha = 0" in row[1])
     more = 100 * (float(theirs.split()[0]) / float(ours[:5]) - 1)
     assert f"paper {theirs}, **{more:.1f} % more**), with alpha = 1" in PAGE
-    succeed = [
-        row[5].split(" ")[0]
-        for row in table("table_5")
-        if row[1:3] == ["CMA-ES + NCA", "101 x 102"]
-    ]
-    good, runs = succeed[0].split("/")
+    row = next(row for row in table("table_5") if row[1:3] == ["CMA-ES + NCA", "101 x 102"])
+    good, runs = row[5].split(" ")[0].split("/")
     assert f" {good} of {runs} do)" in PAGE
     assert f"{int(runs) - int(good)} of CMA-ES's {runs} runs congest" in PAGE
     uneven = moved["warehouse-uneven", "CMA-MAE + NCA, first zoo", "101 x 102", "our"]

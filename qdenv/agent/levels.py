@@ -132,8 +132,8 @@ def draw_level(key: jax.Array, config: LevelConfig) -> Level:
     layout_key, pair_key, key = jax.random.split(key, 3)
     smallest = config.smallest or config.size
     side = jax.random.randint(jax.random.fold_in(key, 1), (), smallest, config.size + 1)
-    shares = np.arange(2, config.size + 3) ** 2, (config.size + 2) ** 2  # of areas: in 64 bits
-    low, high = (jnp.asarray(steps * shares[0] // shares[1])[side] for steps in config.horizon)
+    areas = np.arange(2, config.size + 3) ** 2  # by side, with the frame; products need 64 bits
+    low, high = (jnp.asarray(steps * areas // areas[-1])[side] for steps in config.horizon)
     span, kind = jax.random.uniform(key, (2,))
     horizon = low + (span * (high + 1 - low)).astype(jnp.int32)
     layout = draw_layout(layout_key, config, side)

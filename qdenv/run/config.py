@@ -143,9 +143,9 @@ def _field_paths(record: Any) -> Iterator[tuple[str, ...]]:
 
 def _replaced(record: Any, values: Mapping[tuple[str, ...], Any]) -> Any:
     """Replace settings of a record and of nested ones; those of one record are checked together."""
-    known = dataclasses.fields(record) if dataclasses.is_dataclass(record) else ()
+    fields = dataclasses.fields(record) if dataclasses.is_dataclass(record) else ()
     for name, *_ in values:
-        if name not in [one.name for one in known]:
+        if all(name != one.name for one in fields):
             raise InputError(f"{type(record).__name__} has no setting {name!r}")
     own = {path[0]: value for path, value in values.items() if len(path) == 1}
     # A whole record may be given beside single settings of it, which then replace the record's.

@@ -259,11 +259,11 @@ class RunDirectory:
         Raises InputError if the file is damaged, or missing though the settings name a start.
         """
         path = self.path / "start.npz"
-        if not path.exists():
-            if not self.config.start:
-                return None
+        if path.exists():
+            return read_arrays(path, {"solution": Column("f", 1)}, None)["solution"]
+        if self.config.start:
             raise InputError(f"{path} is missing: copy it back, or train in another folder")
-        return read_arrays(path, {"solution": Column("f", 1)}, None)["solution"]
+        return None
 
     def __str__(self) -> str:
         """Name the run as command lines do."""
