@@ -128,8 +128,9 @@ def main(
         workers: processes of a cluster on this machine; one per core unless given.
     """
     folders, execution = Folders(results, runs), Execution(executor, scheduler, workers)
-    chosen = [name for name in names() if find(name).drawable(folders)]
-    chosen = chosen if experiments == ("all",) else list(experiments)
+    chosen = list(experiments)
+    if chosen == ["all"]:
+        chosen = [name for name in names() if find(name).drawable(folders)]
     if making is not None:
         interrupt.advise(f"`python -m experiments {shlex.join(sys.argv[1:])}` goes on")
         with contextlib.ExitStack() as stack:

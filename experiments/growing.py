@@ -99,7 +99,7 @@ class Workshop:
     def worth(self, cell: Cell) -> float:
         """Try a layout of the last size: what it moves, or how often the agent arrives.
 
-        -1 where it cannot be repaired, congests, or cannot be solved.
+        -1 where it cannot be repaired, congests, or is never solved.
         """
         sized = self.grow(cell, self.shapes[-1])
         if sized is None:

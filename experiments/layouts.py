@@ -114,8 +114,10 @@ class SavedLayout(Piece):
         return ""
 
     def run(self) -> SavedRun:
-        """Return the run whose best elite draws it."""
-        return run_of(self.domain, self.maker.removeprefix("cma-mae"))
+        """Return the run whose best elite draws it; weights of CMA-MAE's seed 0 are not saved."""
+        if self.maker == "cma-mae":
+            return replace(run_of(self.domain), seed=1)
+        return run_of(self.domain, self.maker)
 
     def seconds(self, folders: Folders) -> float:
         """Estimate the CPU seconds of making it."""

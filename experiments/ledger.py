@@ -118,7 +118,7 @@ def complete(
             last = time.time()
             rest = [case for case, seed in todo if case.key(seed) not in known]
             left = timedelta(seconds=round(seconds_for(rest, list(known.values()))))
-            jam = f", congested at {run.end_timestep}" * run.congested
+            jam = ", congested" * run.congested
             say(
                 f"{done} of {len(todo)} runs, about {left} of one core left: {run.layout}, "
                 f"{run.agents} agents, {run.planner}, seed {run.seed}: {run.throughput:.3f}{jam}"

@@ -93,7 +93,10 @@ class SavedRun(Piece):
             made = rows[-1].evaluations if rows else 0
         if self.done(folders) == 1:
             return 0.0
-        return (cpu_seconds(self.config) or 0.0) * max(self.config.evaluations - made, 0)
+        # Of the small surrogate's costs only those of this preset are known.
+        like = replace(self.config, algorithm=qdenv.find_preset("dsage-laptop").algorithm)
+        each = cpu_seconds(self.config) or cpu_seconds(like) or 0.0
+        return each * max(self.config.evaluations - made, 0)
 
     def make(self, folders: Folders) -> None:
         """Begin or continue the run, then summarise it."""

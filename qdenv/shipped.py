@@ -4,7 +4,7 @@ qdenv/zoo/DOMAIN/config.json, manifest.json, metrics.csv   of the run they come 
 qdenv/zoo/DOMAIN/archive.npz       the chosen elites alone
 qdenv/zoo/DOMAIN/generators.json   their names and figures, a `Collection`
 
-`experiments/zoo.py` writes them; commands that read a run take ``zoo:DOMAIN/NAME``, too.
+`experiments/zoo.py` writes them; most commands that read a run take ``zoo:DOMAIN/NAME``, too.
 """
 
 from __future__ import annotations

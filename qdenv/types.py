@@ -205,7 +205,7 @@ class RepairStatus(IntEnum):
     OPTIMAL = 0  # proven, or within the given gap
     NODE_LIMIT = 1  # best layout at the deterministic limit
     TIME_LIMIT = 2  # best layout when the wall-clock safety net fired
-    ANNEALED = 3  # feasible, no polish was configured or the budget left none
+    ANNEALED = 3  # feasible, neither proven nor branched on
     IMPOSSIBLE = 4  # the rules contradict each other; the layout is returned as it came
     FAILED = 5  # no feasible layout was found; the layout is returned as it came
 

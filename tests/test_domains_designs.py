@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from qdenv import grid
 from qdenv.domains import designs
-from qdenv.domains.base import DOMAINS, Domain, find_domain
+from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.repairs.audit import audit
 from qdenv.types import InputError
 
@@ -62,6 +63,12 @@ def test_other_stays_order_the_stations_of_the_small_factory_by_kind():
     kinds = "".join(designs.stations(33, 36, (1, 1, 1)))
     stations = [kind for kind in kinds if kind in "012"]
     assert stations == sorted(stations) and len(stations) == 93
+    for stays in ((0, 0, 0), (0, 5, 10)):  # a kind at which nobody stays has stations, too
+        settings = replace(find_domain("manufacturing").config, stays=stays)
+        layout = make_domain(settings).human()
+        assert {"0", "1", "2"} <= set(
+            "".join(grid.draw(layout, find_domain("manufacturing").tiles))
+        )
 
 
 def test_golden_drawings():

@@ -7,6 +7,7 @@ from conftest import STUDY_DATA
 import qdenv
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain, make_domain
+from qdenv.domains.map import MapConfig
 from qdenv.io.layouts import endings_for, write_layout
 from qdenv.study.plans import close_parts, read_plan, with_tasks
 from qdenv.types import InputError
@@ -53,6 +54,11 @@ def test_what_a_repair_can_join_stays_as_it_is(tmp_path):
     path.write_text("w..@.w\n..@@@.\nw.@e@.\n")
     plan = read_plan(path, "warehouse-even")
     assert close_parts(plan) is plan
+
+
+def test_the_demand_of_a_single_row_is_of_that_size_alone():
+    row = make_domain(MapConfig(rows=1, cols=5, demand=("1 2 3 1 1",)))
+    assert row.resized(1, 5).config == row.config and row.resized(2, 5).config.demand == ()
 
 
 def test_only_its_name_chooses_the_domain(tmp_path):

@@ -213,6 +213,15 @@ def test_the_page_states_what_fleets_move():
     assert "paper 6.74, which is {:.1f} and {:.1f} % more".format(*more) in PAGE
     ships = moved["warehouse-uneven", "CMA-MAE + NCA, zoo", "101 x 102", "our"]
     assert f"**{100 * (theirs / float(ships[:6]) - 1):.1f} % more**" in PAGE
+    uneven = next(
+        row[5]
+        for row in table("table_5")
+        if row[:3] == ["warehouse-uneven", "CMA-MAE + NCA, first zoo", "101 x 102"]
+        and row[4].startswith("PBS")
+    )
+    good, runs, low, high = re.findall(r"\d+", uneven)
+    assert f"search {good} of {runs} runs of the first zoo's `warehouse-uneven` succeed" in PAGE
+    assert f"({low} to {high} %; paper 84 %) and move 11.965" in PAGE
     driven = [
         json.loads((RESULTS / "zoo" / f"{name}.json").read_text())["generators"][0]["sizes"][-1]
         for name in ("warehouse-even", "warehouse-uneven", "manufacturing")
@@ -233,6 +242,9 @@ def test_the_page_states_what_fleets_move():
     assert f"but {even[cma_es, 'PBS']} against {even[first, 'PBS']} under" in PAGE
     at_s = [even[f"{first}'s best at S", planner] for planner in ("our", "PBS")]
     assert f"best at S moves {' and '.join(at_s)};" in PAGE
+    runs = rows("traffic/makers-warehouse-even.csv", layout="warehouse-even-cma-es-101x102")
+    jams = [row["congested"] == "True" for row in runs if row["planner"] == "published"]
+    assert f"under priority-based search all {sum(jams)}. In the paper" in PAGE and all(jams)
     runs = rows("traffic/makers-warehouse-uneven.csv", layout="warehouse-uneven-cma-es-101x102")
     jams = [row["congested"] for row in runs if row["planner"] == "published"]
     assert f"search ({jams.count('False')} of {len(jams)}; under ours all" in PAGE
@@ -328,6 +340,11 @@ def test_the_page_states_layouts_repairs_and_mazes():
             )
     small, large = (float(table(name)[-1][5][:-1]) for name in ("figure_11", "figure_13"))
     assert f"({small:.0f} % of the cells change at 33" in PAGE and f" 36, {large:.0f} % at" in PAGE
+    for size in ("33x36", "101x102"):
+        text = (RESULTS / "layouts" / f"manufacturing-nca-{size}.json").read_text()
+        drawn, built = ("".join(json.loads(text)[name]) for name in ("unrepaired", "layout"))
+        others = [one != new for one, new in zip(drawn, built, strict=True) if new not in "012"]
+        assert f"all but {100 * sum(others) / len(built):.0f} % become stations" in PAGE
     large = table("maze_success")[1]
     arrives = f"it arrives in {large[1].split('%')[0]} of 100 runs (paper: 93 %)"
     assert f"with a way of {large[2]} moves, {arrives}" in PAGE

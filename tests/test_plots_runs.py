@@ -31,7 +31,9 @@ def runs(tmp_path_factory) -> list[RunDirectory]:
     for seed in (1, 2):
         shutil.copytree(first.path, folder / f"b{seed}")
         copies.append(RunDirectory(folder / f"b{seed}"))
-        copies[-1].write_config(replace(first.config, seed=seed))
+        repair = replace(first.config.evaluation.repair, workers=seed)  # which changes no result
+        evaluation = replace(first.config.evaluation, repair=repair)
+        copies[-1].write_config(replace(first.config, seed=seed, evaluation=evaluation))
         rows = [row._replace(qd_score=row.qd_score + seed) for row in first.read_metrics()]
         write_csv(copies[-1].path / METRICS, Metrics._fields, rows[: len(rows) - seed + 1])
     shutil.copytree(first.path, folder / "c")

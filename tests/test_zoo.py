@@ -180,6 +180,8 @@ def test_the_generator_that_is_named_is_the_runs_best():
     assert float(entropy(regular.best.layout[:, 2:-2], 3)) == lowest
     with pytest.raises(InputError, match='give "best" or "regular" or'):
         every.elite("worst")
+    with pytest.raises(InputError, match="indices below"):
+        every.elite((float("inf"), 0))
 
 
 def test_zoo_lists_every_generator_with_its_figures(folder, capsys):

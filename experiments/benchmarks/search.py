@@ -70,7 +70,7 @@ def search(iterations: int = 100, only: str = "", json: Path | None = None) -> R
 
 
 def evaluate(solutions: Any, numbers: Any) -> tuple[Any, Any]:
-    """Evaluate with numpy or jax.numpy: a bowl; the measures are the means of both halves."""
+    """Evaluate with numpy or jax.numpy: a bowl; the measures are scaled means of both halves."""
     objective = 1 - numbers.square(solutions - 0.1).mean(axis=1)
     half = solutions.shape[1] // 2
     means = [solutions[:, :half].mean(axis=1), solutions[:, half:].mean(axis=1)]

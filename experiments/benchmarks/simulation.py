@@ -159,7 +159,7 @@ def scale(
         density: agents per cell of the layout, walls included.
         timesteps: of the simulation.
         effort: of the planner.
-        audit: check every step of every simulation.
+        audit: check every step of the whole simulation.
         plot: file of a log-log plot with the slopes.
         json: file of the result.
     """

@@ -20,7 +20,8 @@ from qdenv.shipped import PREFIX, names
 _WORDS = 'set(spec.get("subcommands", {}).keys())'
 # Bash puts back what stands before the last colon of a word: it is left out of the completions.
 _UP_TO_COLON = ('#"$prefix"}', "#*:}")
-_RUNS = ("plot", "generate", "series", "export")  # commands that take generators of the zoo
+# Commands that take generators of the zoo.
+_RUNS = ("plot", "generate", "series", "export", "explore", "report")
 
 
 def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:

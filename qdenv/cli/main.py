@@ -1,6 +1,6 @@
 """The command line `qdenv`: choose a command, turn mistakes into one line and exit code 2.
 
-The module of a command is imported when it is chosen: help and refusals import no jax.
+The module of a command is imported when it is chosen: help and most refusals import no jax.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from qdenv.grid import draw, inside_frame, of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged, read_range
 from qdenv.registry import Registry
+from qdenv.simulation.mapf.goals import BY_SHELF
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Array, InputError, Measure, Rules, TaskRule, Tile
 
@@ -268,7 +269,7 @@ class Domain:
         this domain's own size has no generated area.
         """
         places = [one for one in ("keep", "around", "demand") if hasattr(self.config, one)]
-        if "demand" in places and len(self.config.demand) < 2:  # is of all shelves, at any size
+        if getattr(self.config, "demand", ()) == BY_SHELF:  # which fits any size
             places.remove("demand")
         stays = {} if (rows, cols) == self.shape else dict.fromkeys(places, ())
         empty = make_domain(replace(self.config, rows=rows, cols=cols, **stays))

@@ -42,9 +42,8 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
 
     The kinds of station, drawn as ``0``, ``1``, ..., follow one another in row-major order, in
     numbers as near to the proportions of `ratio` as whole stations allow (appendix D.2); at 33 x 36
-    two groups of a line are exchanged as in Figure 11a. Returns
-    `rows` strings of `cols` symbols: digits, ``e`` and ``.``; raises InputError if too few
-    stations fit to have one of each kind.
+    two groups of a line are exchanged as in Figure 11a. Returns `rows` strings of `cols` symbols:
+    digits, ``e`` and ``.``; raises InputError if too few stations fit to have one of each kind.
     """
     if min(rows, cols) < _STAND_ALONE_FROM:
         picture = station_blocks(rows, cols)
@@ -56,7 +55,7 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
         if rows % _SPACING[0] == 1:
             picture[-1] = "."  # endpoints whose station would lie outside
     places = picture == "s"
-    numbers = apportion(int(places.sum()), ratio)
+    numbers = apportion(int(places.sum()), tuple(max(1, one) for one in ratio))
     if 0 in numbers:
         raise InputError(
             f"a factory of {rows} x {cols} holds {places.sum()} stations by hand, too few for "

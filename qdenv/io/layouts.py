@@ -58,7 +58,7 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
         if path.suffix.lower() in READ_ENDINGS:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(READ_ENDINGS)}") from error
-    # What a file states itself counts more.
+    # A file's own facts count more.
     facts = facts_beside(path) | dict(drawing.details.get("facts", {}))
     if facts:
         stated = make_facts(facts, path)

@@ -201,7 +201,7 @@ def resume(
 
     done = loop.resume(path, progress, evaluations, execution)
     if not getattr(opened.config.evaluation.generator, "draws", True):
-        from qdenv.ops.guidance import finish_guide  # which imports this file
+        from qdenv.ops.guidance import finish_guide
 
         finish_guide(done, path.name)
     elif pictures:

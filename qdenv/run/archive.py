@@ -182,7 +182,7 @@ class SavedArchive:
             parts = which.split(",") if isinstance(which, str) else which
             cell = tuple(int(part) for part in parts)
             number = np.ravel_multi_index(cell, self.shape)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             text = which if isinstance(which, str) else str(which).strip("()[]")
             known = " or ".join(f'"{name}"' for name in self.names or ("best",))
             raise InputError(

@@ -65,7 +65,7 @@ def config_to_json(config: RunConfig) -> dict[str, Any]:
 def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     """Read what `config_to_json` wrote.
 
-    Raises InputError, which names `source`, if a setting is unknown, missing or of the wrong type.
+    Raises InputError, which names `source`, if a setting is unknown or of the wrong type.
     """
     evaluation = content.get("evaluation")
     if not isinstance(evaluation, dict):
@@ -219,7 +219,7 @@ def choose_algorithm(config: RunConfig, algorithm: Any) -> RunConfig:
 def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[RunConfig, str]:
     """Scale with the size of the layouts what was not stated.
 
-    Numbers of tiles and agents grow with the generated area, steps of growth with the longer side,
+    Numbers of tiles and agents grow with the generated area, steps of growth with the larger ratio,
     an axis with the number that its measure cannot exceed; at a size that the domain knows the
     first three are what it knows. `base` is the configuration that this one was made from, whose
     numbers belong to its own size; the settings named in `given` stay. Returns the configuration,

@@ -47,9 +47,8 @@ def train(
     """Search generators and leave everything in a new run directory.
 
     It begins at `start` (float [P]), by default what `config.start` names. The search pauses after
-    the iteration in which `minutes` have passed; `resume` goes on. Raises
-    InputError if a setting is impossible, no layout could count, the folder holds a run already or
-    is read-only.
+    the iteration in which `minutes` have passed; `resume` goes on. Raises InputError if a setting
+    is impossible, no layout could count, the folder holds a run already or is read-only.
     """
     check(config)
     start = find_start(config) if start is None else start

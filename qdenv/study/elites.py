@@ -41,7 +41,7 @@ class Unrepaired(NamedTuple):
     elite: Elite | None  # whose layout; None where no elite drew it (a tiled layout)
     layout: np.ndarray  # int8 [H, W]
     steps: int  # of growth; 0 where nothing grew
-    repair: RepairConfig = RepairConfig()  # that of its search, or in full at another size
+    repair: RepairConfig = RepairConfig()  # its search's for what that drew, else in full
 
 
 class Sized(NamedTuple):
@@ -121,8 +121,8 @@ def grow_elite(
 
     `which` is an elite, "best", or its cell's indices: "12,40" or (12, 40). `shape` is (rows,
     columns) of the framed layout, None for the trained ones. Steps of growth, and exact `numbers`
-    of tiles by the settings' names, are those known of the size unless given, or else scaled with
-    the longer side and the generated area. `keep` says what must stay (`keep_from`), at the trained
+    of tiles by the settings' names, are those known of the size unless given, or else scaled up
+    with the sides and the generated area. `keep` says what must stay (`keep_from`), at the trained
     size beside what the run kept. A `plan` gives its size, its numbers and its rules. Raises
     InputError if there is no such elite, the size is impossible, or what must stay is.
     """

@@ -14,7 +14,7 @@ from qdenv.stats import margin, sample_of
 from qdenv.types import InputError
 
 # Runs that differ in these repeat one another.
-_CHANCE = ("seed", "evaluations", "checkpoint_every")
+_CHANCE = ("seed", "evaluations", "checkpoint_every", "workers", "backend")
 _WHO, _WHERE = "algorithm", "evaluation.domain"
 _NAMES = {
     "map-elites": "MAP-Elites",
@@ -65,8 +65,9 @@ def group_runs(runs: Sequence[RunDirectory]) -> list[Group]:
         )
     kinds: dict[str, list[RunDirectory]] = {}
     for run in runs:
-        settings = {k: v for k, v in config_to_json(run.config).items() if k not in _CHANCE}
-        kinds.setdefault(json.dumps(_flatten(settings), sort_keys=True), []).append(run)
+        every = _flatten(config_to_json(run.config))
+        settings = {k: v for k, v in every.items() if k.rpartition(".")[2] not in _CHANCE}
+        kinds.setdefault(json.dumps(settings, sort_keys=True), []).append(run)
     labels = tell_apart([json.loads(kind) for kind in kinds])
     return [_group(label, group) for label, group in zip(labels, kinds.values(), strict=True)]
 

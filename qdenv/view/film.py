@@ -151,7 +151,7 @@ class _Stage:
             x, y = corners[agent].tolist()
             warm = WARMTH[min((waited[agent] - JAM_FROM) // JAM_STEP, len(WARMTH) - 1)]
             pen.rectangle((x, y, x + end, y + end), warm)
-        # One that stays without waiting is on its own goal, and is served.
+        # One that stays without waiting is served, or has no order.
         still = np.zeros(len(waited), bool)
         if step >= 0:
             still = motion.positions[step] == motion.positions[step + 1]

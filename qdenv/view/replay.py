@@ -1,8 +1,8 @@
 """The replay: one run of a fleet, or one walk through a maze, to be played in a browser.
 
 A robot moves by at most one cell in a timestep, so its path is a start and one of five moves for
-each step, three of which fit a byte; its goals are the first one and a new one for each finished
-task. `scripts/replay_film.js` decodes this.
+each step, three of which fit a byte; its goals are the first one and each that follows.
+`scripts/replay_film.js` decodes this.
 """
 
 from __future__ import annotations

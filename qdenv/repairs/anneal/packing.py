@@ -4,11 +4,10 @@ Regular layouts have two rows of obstacles between aisles. They obey the rules b
 every obstacle touches an aisle, so any of them may be left out, and about two thirds of the cells
 can be obstacles, which no connected layout exceeds.
 
-Packing is the last resort near that limit. The annealer never lets the driving area fall apart,
-and the ways to the densest layouts lead through pieces. Straight aisles hold 704 shelves at the
-paper's size; packing finds 708, with aisles that end head to head in a seam. A seam takes few
-columns and all others are alike: so a narrow layout is packed first, and one of its columns
-repeated.
+Packing is the last resort near that limit. The annealer never lets the driving area fall apart, and
+the ways to the densest layouts lead through pieces. Straight aisles hold 704 shelves at the paper's
+size; packing finds 708, with aisles that end head to head in a seam. A seam takes few columns and
+all others are alike: so a narrow layout is packed first, and one of its columns repeated.
 """
 
 from itertools import product

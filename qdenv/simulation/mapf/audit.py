@@ -127,10 +127,9 @@ def replay_tasks(
 
     A goal is the cell an agent heads for before a step, -1 while it has no order, which ends with
     the last kind of goal; `credited` (bool [end, A]) are the tasks that the simulator says the step
-    finished. The service rule is written a second time here on
-    purpose: the audit trusts no code it checks. All agents are planned again every `horizon`
-    timesteps. Returns finished bool [end, A], working bool [end + 1, A] (serving after the step),
-    messages.
+    finished. The service rule is written a second time here on purpose: the audit trusts no code it
+    checks. All agents are planned again every `horizon` timesteps. Returns finished bool [end, A],
+    working bool [end + 1, A] (serving after the step), messages.
     """
     goal_cells = np.array([np.asarray(goal.weight(layout)).reshape(-1) > 0 for goal in rule.cycle])
     stays = np.array([np.asarray(goal.stays(layout)).reshape(-1) for goal in rule.cycle])
