@@ -64,11 +64,8 @@ def test_other_stays_order_the_stations_of_the_small_factory_by_kind():
     stations = [kind for kind in kinds if kind in "012"]
     assert stations == sorted(stations) and len(stations) == 93
     for stays in ((0, 0, 0), (0, 5, 10)):  # a kind at which nobody stays has stations, too
-        settings = replace(find_domain("manufacturing").config, stays=stays)
-        layout = make_domain(settings).human()
-        assert {"0", "1", "2"} <= set(
-            "".join(grid.draw(layout, find_domain("manufacturing").tiles))
-        )
+        factory = make_domain(replace(find_domain("manufacturing").config, stays=stays))
+        assert set("012") <= set("".join(grid.draw(factory.human(), factory.tiles)))
 
 
 def test_golden_drawings():

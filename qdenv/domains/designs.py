@@ -41,9 +41,9 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
     """Draw a hand-made factory: blocks of stations where it is small, single ones where large.
 
     The kinds of station, drawn as ``0``, ``1``, ..., follow one another in row-major order, in
-    numbers as near to the proportions of `ratio` as whole stations allow (appendix D.2); at 33 x 36
-    two groups of a line are exchanged as in Figure 11a. Returns `rows` strings of `cols` symbols:
-    digits, ``e`` and ``.``; raises InputError if too few stations fit to have one of each kind.
+    numbers as near to the proportions of `ratio` (a 0 counts as 1) as whole stations allow
+    (appendix D.2); at 33 x 36 two groups of a line are exchanged as in Figure 11a. Returns `rows`
+    strings of `cols` symbols: digits, ``e`` and ``.``; raises InputError if a kind gets no station.
     """
     if min(rows, cols) < _STAND_ALONE_FROM:
         picture = station_blocks(rows, cols)
