@@ -110,6 +110,12 @@ def test_open_rmf_reads_vertices_and_lanes_by_number(plan, costs):
     assert len(names) == len({*names}) and "workstation r1c0" in names
 
 
+@pytest.mark.parametrize(("name", "key"), [("a.lif", "nodeName"), ("a.geojson", "tile")])
+def test_a_road_map_of_tiles_without_names_has_their_symbols(name, key, tmp_path):
+    write_layout(tmp_path / name, parse(ROWS, TILES), TILES)
+    assert f'"{key}": "w"' in (tmp_path / name).read_text()
+
+
 def test_nav2_reads_ids_ends_and_costs_of_edges(plan, costs, capsys):
     features = json.loads(written(plan, "plan.geojson").read_text())["features"]
     assert "costs of moves" not in capsys.readouterr().out

@@ -20,8 +20,7 @@ from qdenv.shipped import PREFIX, names
 _WORDS = 'set(spec.get("subcommands", {}).keys())'
 # Bash puts back what stands before the last colon of a word: it is left out of the completions.
 _UP_TO_COLON = ('#"$prefix"}', "#*:}")
-# Commands that take generators of the zoo.
-_RUNS = ("plot", "generate", "series", "export", "explore", "report")
+_RUNS = ("plot", "generate", "series", "export", "explore", "report")  # take zoo:DOMAIN/NAME
 
 
 def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:

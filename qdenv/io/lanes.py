@@ -89,7 +89,7 @@ def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
     nodes = [
         {
             "nodeId": place,
-            "nodeName": meanings[symbol].name,
+            "nodeName": meanings.get(symbol, Tile(symbol)).name,
             "mapId": name,
             "nodePosition": {"x": x, "y": y},
             "vehicleTypeNodeProperties": [{"vehicleTypeId": _VEHICLE}],
@@ -127,7 +127,8 @@ def write_rmf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
     nodes, edges, names, stations = _make_graph(path, drawing, meanings)
     labels = dict.fromkeys(range(len(nodes)), "")
     for one in stations:
-        labels[one] = f"{meanings[nodes[one][0]].name} {names[one]}"
+        symbol = nodes[one][0]
+        labels[one] = f"{meanings.get(symbol, Tile(symbol)).name} {names[one]}"
     vertices = [[x, y, {"name": labels[i]}] for i, (_, x, y) in enumerate(nodes)]
     lanes = [[begin, end, {}] for begin, end, _ in edges]
     lines = [f"building_name: {json.dumps(_name_of(path, drawing))}", "doors: {}", "lifts: {}"]
@@ -145,7 +146,7 @@ def write_nav2(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
     nodes, edges, names, _ = _make_graph(path, drawing, meanings)
     features: list[dict[str, Any]] = []
     for one, (symbol, x, y) in enumerate(nodes):
-        about = {"tile": meanings[symbol].name, "cell": names[one]}
+        about = {"tile": meanings.get(symbol, Tile(symbol)).name, "cell": names[one]}
         facts = {"id": one, "frame": "map", "metadata": about}
         place = {"type": "Point", "coordinates": [x, y]}
         features.append({"type": "Feature", "properties": facts, "geometry": place})

@@ -187,8 +187,9 @@ def write_lorr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
     # Endpoints without stations are swamp on MovingAI's maps, shelves without endpoints walls.
     back = "".join(_read_signs(rows)).translate(str.maketrans(_ON_RUNNERS))
     cells = zip("".join(drawing.rows), "".join(rows), back, strict=True)
-    if other := sorted({meanings[symbol].name for symbol, sign, read in cells if sign != read}):
-        lost.append(f"what some cells are ({', '.join(other)}) is")
+    if other := {symbol for symbol, sign, read in cells if sign != read}:
+        names = sorted({meanings.get(symbol, Tile(symbol)).name for symbol in other})
+        lost.append(f"what some cells are ({', '.join(names)}) is")
     if path.suffix.lower() == ".map":
         _write_map(path, rows)
         return lost

@@ -16,6 +16,7 @@ from qdenv.io.files import check_writable, reserve
 from qdenv.io.records import read_json
 from qdenv.ops import options as args
 from qdenv.ops.costs import describe_cost, remember_cost
+from qdenv.ops.guidance import finish_guide
 from qdenv.ops.networks import train_agent
 from qdenv.ops.output import PICTURES, Result, format_table, place, say
 from qdenv.ops.runs import plot_one
@@ -201,8 +202,6 @@ def resume(
 
     done = loop.resume(path, progress, evaluations, execution)
     if not getattr(opened.config.evaluation.generator, "draws", True):
-        from qdenv.ops.guidance import finish_guide
-
         finish_guide(done, path.name)
     elif pictures:
         plot_one(done)

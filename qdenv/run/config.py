@@ -24,6 +24,8 @@ from qdenv.settings import EvaluationConfig
 from qdenv.simulation.mapf.settings import PLANNERS, find_planner
 from qdenv.types import InputError, Measure
 
+# Settings that decide how long a run takes or how far it goes, but none of its results.
+WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
 # Settings whose type is a choice, wherever a field of this name stands.
 _CHOICES = dict(domain=DOMAINS, generator=GENERATORS, planner=PLANNERS, algorithm=ALGORITHMS)
 # Settings of runs that were written before these could be chosen: part, its names, what held then.

@@ -12,14 +12,11 @@ from flax.traverse_util import flatten_dict
 
 from qdenv.grid import parse
 from qdenv.pipeline import Pipeline, evaluate, make_pipeline
-from qdenv.run.config import RunConfig, archive_axes, config_to_json, resolve
+from qdenv.run.config import WITHOUT_EFFECT, RunConfig, archive_axes, config_to_json, resolve
 from qdenv.run.directory import find_start
 from qdenv.search.base import Algorithm, Problem
 from qdenv.search.registry import make_algorithm
 from qdenv.types import Array, Encoding, Evaluation, InputError, Measure
-
-# Settings that decide how long a run takes or how far it goes, but none of its results.
-_WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
 
 
 class Experiment(NamedTuple):
@@ -42,7 +39,7 @@ class Experiment(NamedTuple):
         return {f"the {name} of checksum": reads[name] for name in reads} | {
             name: value
             for name, value in settings.items()
-            if name.rpartition(".")[2] not in _WITHOUT_EFFECT
+            if name.rpartition(".")[2] not in WITHOUT_EFFECT
         }
 
 

@@ -266,8 +266,8 @@ Grower = Callable[[np.ndarray], np.ndarray]
 def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
     """Make the function that grows solutions at the trained size and keeps every step.
 
-    Return the number of steps C, 0 where nothing grows, and the function: float32 [B, P] -> framed
-    layouts int8 [B, C + 1, H, W]. Another B is compiled again.
+    Return the number of steps, 0 where nothing grows, and the function: float32 [B, P] -> framed
+    layouts int8 [B, steps + 1, H, W]. Another B is compiled again.
     """
     generator = GENERATORS.make(config.generator, domain.canvas)
     steps = generator.steps

@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.run.config import config_to_json
+from qdenv.run.config import WITHOUT_EFFECT, config_to_json
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import margin, sample_of
 from qdenv.types import InputError
 
 # Runs that differ in these repeat one another.
-_CHANCE = ("seed", "evaluations", "checkpoint_every", "workers", "backend")
+_CHANCE = ("seed", *WITHOUT_EFFECT)
 _WHO, _WHERE = "algorithm", "evaluation.domain"
 _NAMES = {
     "map-elites": "MAP-Elites",

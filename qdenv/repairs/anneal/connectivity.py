@@ -24,7 +24,7 @@ _OPEN = np.arange(256)[:, None] >> np.arange(8) & 1 == 1  # bool [256, 8]
 _SIDES, _CORNERS = _OPEN[:, ::2], _OPEN[:, 1::2]  # the corner behind each side
 # The first side of a piece from the left: an open one that hangs together with none to its left.
 _LEFT_ENDS = _SIDES & ~np.roll(_SIDES & _CORNERS, 1, 1)
-# int8 [256], the number of pieces; where it is 1, the cell in the middle is a simple point
+# int8 [256], the number of pieces; where it is 1, the cell in the middle may be closed
 RING_PIECES = np.where(_OPEN.all(1), 1, _LEFT_ENDS.sum(1)).astype(np.int8)
 # int8 [256, 4], the left ends of the pieces, in their order
 _STARTS = np.argsort(~_LEFT_ENDS, 1, kind="stable").astype(np.int8)
@@ -45,7 +45,7 @@ for _heading in range(4):
 def may_close(board: Board, state: AnnealState, cell: int) -> bool:
     """Return True if the driving area stays in one piece without this cell of it."""
     pieces = RING_PIECES[state.ring[cell]]
-    # Most cells are simple points: only pieces that the ring leaves apart need walkers.
+    # True of most cells: only pieces that the ring leaves apart need walkers.
     return pieces == 1 or (pieces > 1 and _pieces_meet(board, state, cell, pieces))
 
 

@@ -63,7 +63,7 @@ class Board(NamedTuple):
     open_tile: np.ndarray
     tile_set: np.ndarray  # int16 [N], which of the S sets of tiles a cell allows
     # int8 [S, 3, K + 1, DRAWS], tiles to draw from, of a `TileGroup` and other than the one that
-    # stands here; each role as often as another
+    # stands here; roles as `_tabulate_choices` shares them
     choices: np.ndarray
     fits: np.ndarray  # int8 [S, 3, K + 1], 1 for tiles that are allowed and of the `TileGroup`
     traits: np.ndarray  # int32 [K + 1, 5], facts about tiles; `Trait` names them
