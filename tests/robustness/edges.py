@@ -165,7 +165,6 @@ def run_together(rng: Rng, folder: Path) -> list[str]:
     files(folder)
     command = pick(rng, ("render", "layout human", "layout human", "export", "export"))
     argv = [*line(command, PLAN=PLAN, RUN="run")]
-    argv += ["--rows", "9", "--cols", "12"] * (command == "layout human")
     ordinary = start(["-m", "qdenv", *argv], folder), start(["-m", "qdenv", *argv], folder)
     outputs = [process.communicate(timeout=300) for process in ordinary]
     if any(process.returncode for process in ordinary):

@@ -54,7 +54,7 @@ LINES: Mapping[str, str] = {
     "sweep": f"sweep PLAN {SHORT} --seeds 1",
     "scalability": f"scalability PLAN {SHORT} --seeds 1",
     "report": "report MAZE --timesteps 5",
-    "layout human": "layout human",
+    "layout human": "layout human --rows 9 --cols 12",
     "layout tile": "layout tile PLAN --rows 12 --cols 22",
     "layout symbols": "layout symbols",
     "zoo": "zoo",
