@@ -6,7 +6,7 @@ import sys
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from qdenv import interrupt
 
@@ -100,6 +100,15 @@ def draw(name: str, experiment: Experiment, folders: Folders, out: Path) -> None
         print(out / f"{name}.png")
 
 
+def share_certificate(client: Any) -> contextlib.AbstractContextManager:
+    """Let further clients connect to the same cluster by its address."""
+    import dask
+
+    own = client.security.get_tls_config_for_role("client")
+    names = {"ca_file": "ca-file", "cert": "client.cert", "key": "client.key"}
+    return dask.config.set({f"distributed.comm.tls.{names[one]}": own[one] for one in names})
+
+
 def main(
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
     making: Annotated[str | None, tyro.conf.arg(name="make", metavar="NAME")] = None,
@@ -118,7 +127,7 @@ def main(
         experiments: which to draw; all for all that can be drawn.
         making: make what this one is still missing, then draw it; an interruption loses little.
         missing: list what this one is still missing and what making it costs.
-        seeds: number of searches of each kind, of seeds 0, 1, 2, ...; the paper has five.
+        seeds: number of searches of each kind, of seeds 0, 1, 2, ...; figures show up to five.
         runs: folder of whole runs, which are begun or continued here.
         results: folder of what is kept of them.
         out: folder for the pictures and tables; that of the results unless given.
@@ -137,6 +146,7 @@ def main(
             if executor != "threads":
                 client = stack.enter_context(execution.connect())
                 execution = Execution("dask", scheduler=client.scheduler_info()["address"])
+                stack.enter_context(share_certificate(client))
                 folders = folders._replace(client=client)
             make(find(making, seeds), folders._replace(execution=execution))
         chosen = [making, *chosen]

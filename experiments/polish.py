@@ -56,6 +56,8 @@ def repair_and_simulate(run: RunDirectory, count: int) -> list[Row]:
         raise InputError(f"{run}: nothing is repaired in {domain.name}")
     rules, tasks, fleet = domain.rules(), domain.simulator.tasks, domain.config.fleet
     flowed = np.flatnonzero(~columns["congested"].any(axis=1))  # nobody builds the others
+    if not len(flowed):
+        raise InputError(f"{run}: every elite congested in the search")
     chosen = np.unique(np.linspace(0, len(flowed) - 1, count).round().astype(int))
     for place in flowed[chosen]:
         for level in LEVELS:

@@ -73,8 +73,9 @@ class NcaConfig(Ranged):
         """Refuse kernels that are even: without a centre cell the drawing would drift."""
         super().__post_init__()
         sizes = self.kernel_sizes
-        if not sizes or any(size < 1 or size % 2 == 0 for size in sizes):
-            raise InputError(f"kernel sizes {tuple(sizes)} must be positive odd numbers")
+        # Flax sorts layers by their names: of more, the eleventh would be the third.
+        if not 0 < len(sizes) <= 10 or any(size < 1 or size % 2 == 0 for size in sizes):
+            raise InputError(f"kernel sizes {tuple(sizes)} must be one to ten positive odd numbers")
 
 
 @dataclass(frozen=True)

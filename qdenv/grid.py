@@ -1,7 +1,6 @@
 """The grid: moves, neighbours, and text to tiles and back.
 
-A position is ``row * width + column``. The four moves are right, left, down, up, in this order
-everywhere.
+A position is ``row * width + column``. The four moves are right, left, down, up, in this order.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, 
 # Where waiting counts as a move it is number 0, for planners try it first.
 WAIT, RIGHT, LEFT, DOWN, UP = range(1 + len(MOVES))
 NUM_MOVES = 1 + len(MOVES)
-_RECTANGLE = re.compile(r"(\d*):(\d*),(\d*):(\d*)")
+_RECTANGLE = re.compile(r"(\d{0,9}):(\d{0,9}),(\d{0,9}):(\d{0,9})")
 
 
 def checksum(layout: np.ndarray) -> str:

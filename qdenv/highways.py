@@ -32,7 +32,7 @@ def traffic_flow(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
     each kind of task. Returns float [5, H, W].
     """
     prices, moves = _plan(traversable, legs, contraflow=True)
-    low, high = prices[moves].min(), prices[moves].max()
+    low, high = prices[moves].min(initial=np.inf), prices[moves].max(initial=0)
     scale = (_DEAREST - _CHEAPEST) / max(high - low, 1e-9)
     costs = np.ones((NUM_MOVES, *traversable.shape))
     costs[moves] = _CHEAPEST + scale * (prices[moves] - low)

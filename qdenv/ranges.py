@@ -61,7 +61,7 @@ def check_range(name: str, value: Any, kind: Any) -> None:
     for number, interval in _pairs(value, kind):
         if not isinstance(number, Real):
             raise InputError(f"{label} must be a number, not {number!r}")
-        if isinstance(number, int) and number.bit_length() > _MOST_BITS:  # no float holds it
+        if isinstance(number, int) and number.bit_length() > _MOST_BITS:  # a float may not hold it
             raise InputError(f"{label} must have at most {_MOST_BITS} bits")
         for bound, holds, phrase in _LIMITS:
             limit = getattr(interval, bound)

@@ -188,6 +188,12 @@ def test_a_plan_without_endpoints_gets_them_beside_its_shelves(folder, capsys):
     assert run(["repair", "racks.txt", "--keep", "@", "--out", "served.txt"]) == 0
     assert run(["check", "served.txt"]) == 0
     assert "@@@@" in (folder / "served.txt").read_text()
+    # Nothing could be beside shelves.
+    (folder / "bare.txt").write_text("......\n")
+    assert run(["check", "bare.txt", "--domain", "hall"]) == 1
+    assert "--keep @" not in capsys.readouterr().out
+    (folder / "bare.txt").write_text("w....w\n")
+    assert "--keep @" not in refusal(["simulate", "bare.txt", "--robots", "2"], capsys)
 
 
 def test_a_layout_of_another_domain_needs_no_option(folder, capsys):

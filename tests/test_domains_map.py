@@ -41,12 +41,16 @@ def test_free_cells_cut_off_from_the_largest_part_are_closed_and_that_is_said(tm
     assert closed.whose == "domain map, 2 cells cut off from the largest part are closed"
     assert np.argwhere(plan.layout != closed.layout).tolist() == [[1, 5], [2, 5]]
     assert close_parts(closed) is closed
+    room = qdenv.make_environment(tmp_path / "own.map", agents=10, domain="map")
+    assert np.array_equal(room.layout, closed.layout)
     done = qdenv.simulate(
         tmp_path / "own.map", agents=10, domain="map", timesteps=9, seeds=1, stop=False
     )
     assert done["runs"][0]["end_timestep"] == 9
     with pytest.raises(InputError, match="11 agents need as many free cells, the layout has 10"):
         qdenv.simulate(tmp_path / "own.map", agents=11, domain="map", timesteps=9)
+    with pytest.raises(InputError, match="11 agents need as many free cells, the layout has 10"):
+        qdenv.guide(tmp_path / "own.map", agents=11, domain="map", path=tmp_path / "run")
 
 
 def test_what_a_repair_can_join_stays_as_it_is(tmp_path):

@@ -164,3 +164,6 @@ def test_facts_of_other_domains():
     assert plan.domain.name == "manufacturing" and plan.domain.config.stays == (1, 2, 3)
     save(facts="shelves = 3", rows=rows)
     assert run(["check", "plan.txt"]) == 2
+    facts = 'domain = "warehouse-even"\nshelves = "3"'
+    plan = read_plan(save(facts=facts, rows=["w.......w"] * 5))
+    assert plan.fitted().config.shelves == 3, "a number in quotes is one"

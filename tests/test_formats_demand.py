@@ -23,11 +23,15 @@ def test_a_table_of_the_plans_shape(tmp_path):
     path.write_text("1;2;0,5;;0\n0;0;4;0;0\n\n0;3;0;0;0\n0;0;0;0;0\n")
     expected = [[1, 2, 0.5, 0, 0], [0, 0, 4, 0, 0], [0, 3, 0, 0, 0], [0] * 5]
     np.testing.assert_array_equal(read_demand(path, ENDPOINTS), expected)
+    path.write_text(",,,,\n1,2,3,4,5\n,,,,\n,,,,\n\n")
+    assert read_demand(path, ENDPOINTS).sum(1).tolist() == [0, 15, 0, 0], "empty cells are 0"
 
 
 def test_zones_weigh_rectangles_and_the_last_one_counts():
     odds = read_demand("0:2,0:5=3 1:4,2:3=0", ENDPOINTS)
     assert odds.tolist() == [[3] * 5, [3, 3, 0, 3, 3], [1, 1, 0, 1, 1], [1, 1, 0, 1, 1]]
+    many = " ".join([*["0:1,0:1=2"] * 500, "1:2,1:2=7"])  # longer than a file's name may be
+    assert read_demand(many, ENDPOINTS)[1, 1] == 7
 
 
 def test_order_lines_count_at_endpoints_and_shelves_share_theirs(tmp_path):
@@ -42,6 +46,8 @@ def test_order_lines_count_at_endpoints_and_shelves_share_theirs(tmp_path):
     places.write_text("place;row;column\nA-1;0;0\nA-2;1;2\n")
     odds = read_demand(f"{orders},{places}", ENDPOINTS)
     assert (odds[0, 0], odds[1, 2], odds[2, 1]) == (2, 1, 0)
+    places.write_text("row,column,place\n0,0,A-1\n1,2,A-2\n1,2\n,,\n")
+    np.testing.assert_array_equal(read_demand(f"{orders},{places}", ENDPOINTS), odds)
 
 
 BAD = {

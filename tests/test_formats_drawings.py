@@ -139,6 +139,15 @@ def test_a_drawing_of_cad_is_read_by_the_layers_named_beside_it(drawn, capsys):
             read_drawing(drawn)
 
 
+def test_facts_of_a_drawing_are_an_object(tmp_path):
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.new()
+    document.header.custom_vars.append("qdenv", "[1]")
+    document.saveas(tmp_path / "hall.dxf")
+    with pytest.raises(InputError, match="not a DXF drawing"):
+        read_drawing(tmp_path / "hall.dxf")
+
+
 def test_without_the_library_a_line_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setattr("qdenv.io.formats.find_spec", lambda name: None)
     for ending in (".xlsx", ".dxf"):

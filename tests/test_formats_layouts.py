@@ -167,6 +167,8 @@ def test_a_maze_drawn_with_hashes_is_one(tmp_path):
         ("a.json", "[1, 2", "not a JSON file"),
         ("a.json", "[" * 100_000, "not a JSON file"),
         ("a.json", '{"rows": []}', "list of strings"),
+        ("a.json", '{"layout": [".."], "facts": 5}', "must be an object, not 5"),
+        ("a.json", '{"layout": [".."], "starts": [0], "tasks": [[]]}', "a task has no cell"),
         ("a.json", '{"layout": "..."}', "list of strings"),
         ("a.json", '{"layout": [[1]]}', "list of strings"),
         ("a.json", '{"layout": []}', "empty"),

@@ -159,6 +159,23 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_report_on_a_run_has_its_costs_and_the_stated_tasks(found, monkeypatch):
+    class MadeError(Exception):
+        """What was to be reported on."""
+
+    def make(subjects, *settings):
+        raise MadeError(subjects[0].plan)
+
+    monkeypatch.setattr("qdenv.view.report_fleet.make_request", make)
+    with pytest.raises(MadeError) as made:
+        qdenv.report(found[1], agents=8)
+    best = qdenv.read_plan(found[1] / "best_layout.json")
+    np.testing.assert_array_equal(made.value.args[0].costs, best.costs)
+    with pytest.raises(MadeError) as made:
+        qdenv.report("zoo:manufacturing", agents=8, tasks={"stays": (0, 0, 0)})
+    assert made.value.args[0].domain.config.stays == (0, 0, 0)
+
+
 def test_the_help_names_the_planner_that_is_used(capsys):
     for words, planner in (([], "pibt"), (["--effort", "low"], "negotiated")):
         with pytest.raises(SystemExit):

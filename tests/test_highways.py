@@ -113,6 +113,12 @@ def test_the_dearest_moves_stay_apart_in_whole_numbers():
     assert fixed[RIGHT, 0, 0] == 1023 > fixed[RIGHT, 0, 1] > 900
 
 
+def test_a_floor_of_one_cell_has_no_moves_to_charge():
+    free, legs = np.ones((1, 1), bool), np.ones((1, 2, 1, 1))
+    for guidance in (traffic_flow, human_cost):
+        assert (guidance(free, legs) == 1).all()
+
+
 def test_a_floor_without_goals_is_refused():
     plan = Plan("empty", np.zeros((3, 3), np.int8), WAREHOUSE, assumed=False)
     with pytest.raises(InputError, match="empty: robots have nothing to do: the layout has no"):

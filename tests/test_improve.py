@@ -117,6 +117,11 @@ def test_a_foreign_folder_writes_nowhere_else(changes, message, done, tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
+def test_a_planner_that_knows_no_costs_judges_none(done, plan):
+    found = studies.list_candidates(qdenv.read_plan(plan), done[1], "floor", None)
+    assert found and all(one.costs is None for one in found)
+
+
 def test_an_hour_of_an_engineer(done, plan, folder):
     """No command needs an option from her plan, nor from what the one before wrote."""
     better = str(done[1] / "a_new_floor.txt")

@@ -148,6 +148,7 @@ MISTAKES = {
     "replay maze.txt --timesteps 0": "timesteps must be at least 1, not 0",
     "evaluate-agent maze.txt --gif a.mp4": "ends in .gif",
     "sweep plan.txt --agents 50:10": "agents '50:10'",
+    "sweep plan.txt --agents 5:1:-1": "all of them above zero",
     "sweep plan.txt --agents 1:99999999999": "choose a larger step",
     "compare plan.txt --agents 1-5": "write 200, or 50,100, or 50:400:50",
     **{
@@ -185,6 +186,9 @@ MISTAKES = {
     "train quick --alpha nan": "alpha must be a finite number",
     "train quick --steps -3": "steps must be at least 1, not -3",
     "train quick --kernel-sizes 2": "odd",
+    "train quick --kernel-sizes 3 3 3 3 3 3 3 3 3 3 3": "one to ten",
+    "train quick --algorithm cma-mae-screened --strategy PGPE": "use iso",
+    f"series zoo:warehouse-even --sizes 9x{'9' * 5000}": "rows and columns like 57x58",
     "train quick --hidden 0": "hidden must be at least 1, not 0",
     "train-agent --steps 0": "steps must be at least 1, not 0",
     "train-agent --report-every 0": "report-every must be at least 1, not 0",
@@ -212,6 +216,8 @@ MISTAKES = {
     "report plan.txt --agents 900": "free cells",
     "report plan.txt --agents 50:10": "agents '50:10'",
     "report maze.txt --agents 5": "leave --agents out",
+    "report maze.txt --planner pbs": "leave --planner, --effort and --no-stop out",
+    "report maze.txt --seeds 3": "leave --seeds out",
     "report plan.txt --out r.pdf": "ends in .html",
     "report plan.txt --out plan.txt": "ends in .html",
     # Results that would destroy something.

@@ -9,6 +9,7 @@ import threading
 import pytest
 from conftest import SMALL
 
+from experiments.__main__ import share_certificate
 from experiments.ledger import Case, complete, read_runs
 from qdenv import interrupt
 from qdenv.cli.main import run as qdenv
@@ -205,6 +206,9 @@ def test_a_cluster_of_ones_own_obeys_nobody_else():
         assert client.run(os.getuid) and client.submit(pow, 2, 5).result() == 32
         address = client.scheduler.address
         assert address.startswith("tls://127.0.0.1:")
+        own = Execution("dask", scheduler=address)
+        with share_certificate(client), own.connect() as another:
+            assert another.submit(pow, 2, 5).result() == 32
         with pytest.raises(OSError):
             distributed.Client(address, timeout=1, security=distributed.Security.temporary())
 

@@ -125,6 +125,13 @@ def test_the_leagues_generations_are_read_and_their_tasks_counted(changes, said,
     assert said in capsys.readouterr().out
 
 
+def test_a_task_at_infinity_is_no_task(tmp_path):
+    content = json.dumps(league(tasks=[[0, float("inf"), 3]], events=[[1, 0, 0, 1]]))
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(InputError, match="events and tasks are not those of"):
+        read_run(tmp_path / "run.json")
+
+
 def test_a_path_of_2026_takes_its_counter_for_a_step_or_a_turn(tmp_path):
     paths = ["[(0,0,0,0,0):(F 3)][(3,0,0,0,0):(F 1,R 2,F 2)]"]
     own = league(agentMaxCounter=2, actualPaths=paths, tasks=[], events=[])

@@ -151,7 +151,7 @@ def grow_random(
 ) -> np.ndarray:
     """Grow layouts (int8 [count, H, W]) of automata with N(0, 0.2^2) weights."""
     domain = qdenv.find_domain(kind).resized(*shape)
-    # Cells grow out of a seed, one per step: a larger canvas needs as many more (section E.3).
+    # Cells grow out of a seed, one per step: a larger canvas needs as many more.
     generator = qdenv.NcaConfig(round(50 * shape[0] / SIZE[0]), kernel_sizes)
     pipeline = qdenv.make_pipeline(qdenv.EvaluationConfig(domain.config, generator))
     weights = 0.2 * jax.random.normal(jax.random.key(seed), (count, pipeline.solution_size))

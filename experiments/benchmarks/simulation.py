@@ -57,7 +57,7 @@ def simulate(
         planners: the negotiated one at low or high effort, or priority-based search by the
             published or the plain rule.
         seeds: number of runs of each case.
-        longest: leave out cases with a longer horizon T.
+        longest: leave out cases with a longer horizon T; the horizon of all our own cases.
         match: only layouts whose name contains this.
         audit: check every trajectory.
         json: file of the result.
@@ -67,7 +67,7 @@ def simulate(
         cases = recorded_cases(reference, layouts or reference.parent / "layouts", longest)
     chosen = [case for case in cases if match in case[0]]
     if not chosen:
-        raise qdenv.InputError(f"no layout's name contains {match!r}")
+        raise qdenv.InputError("no case is left to simulate")
     rows = (simulate_case(*pair, seeds, audit) for pair in product(chosen, planners))
     return save(json, fleets=show("fleets", rows))
 
@@ -171,7 +171,7 @@ def scale(
 
     def measure(shape: tuple[int, int]) -> Row:
         domain = trained.resized(*shape)
-        # Cells grow out of a seed, one per step: a larger canvas needs as many more (section E.3).
+        # Cells grow out of a seed, one per step: a larger canvas needs as many more.
         steps = round(config.generator.steps * max(shape) / max(trained.shape))
         generator = replace(config.generator, steps=steps)
         pipeline = qdenv.make_pipeline(replace(config, domain=domain.config, generator=generator))

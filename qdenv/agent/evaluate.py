@@ -170,9 +170,7 @@ def draw_mazes(
             kept.append(Drawn(layout, *map(int, course)))
             progress("drawing random mazes", len(kept) / count, "")
     if len(kept) < count:
-        raise InputError(
-            f"only {len(kept)} of {tries} random mazes have such a path: widen the bounds"
-        )
+        raise InputError(f"only {len(kept)} of {tries} random mazes have such a path: draw fewer")
     return kept
 
 

@@ -283,9 +283,10 @@ class Domain:
             if name not in self.counted:
                 raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
             low, high = read_range(name, number := chosen[name])
+            chosen[name] = low
             spare = f"spare_{name}"
             if hasattr(self.config, spare):
-                chosen |= {name: low, spare: high - low} if name in (numbers or {}) else {}
+                chosen |= {spare: high - low} if name in (numbers or {}) else {}
             elif high > low:
                 raise InputError(f"{name} {number}: a range is for halls: give one number")
         return make_domain(replace(empty.config, **chosen))

@@ -13,6 +13,7 @@ holds at its cell. It comes as
   likely as it is among their goals.
 """
 
+import os.path
 import re
 from collections import defaultdict
 from collections.abc import Mapping
@@ -39,7 +40,7 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
     does not fit the plan.
     """
     text = str(source)
-    if "=" in text and not Path(text).is_file():
+    if "=" in text and not os.path.isfile(text):
         odds = np.ones(endpoints.shape)
         for zone in re.split(r"[\s;]+", text.strip()):
             place, sign, weight = zone.partition("=")
@@ -51,7 +52,7 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
         return odds
     if text.lower().endswith((".scen", ".json")):
         return _goals(text, endpoints.shape)
-    orders, _, places = (text, "", "") if Path(text).is_file() else text.partition(",")
+    orders, _, places = (text, "", "") if os.path.isfile(text) else text.partition(",")
     if not orders.lower().endswith(".csv"):
         raise InputError(f"{text!r} is no demand: {_FORM}")
     table = _cells(Path(orders))
@@ -62,7 +63,7 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
             raise InputError("no column place in its first line, which a file of places is for")
         rows = [
             [_number(cell or "0", f"line {line}, column {col}") for col, cell in enumerate(cells)]
-            for line, cells in table
+            for line, cells in _cells(Path(orders), blank=True)
         ]
         widths, shape = {len(row) for row in rows}, endpoints.shape
         if (len(rows), *widths) != shape:
@@ -75,7 +76,7 @@ def demand_in(folder: Path, fact: Any) -> str | tuple[str, ...]:
     """Return demand as a plan in `folder` states it: rows of numbers, zones, or files there."""
     if isinstance(fact, list):
         return tuple(map(str, fact))
-    if (folder / str(fact).partition(",")[0]).is_file():
+    if os.path.isfile(folder / str(fact).partition(",")[0]):
         return ",".join(str(folder / file) for file in str(fact).split(","))
     return str(fact)
 
@@ -93,15 +94,15 @@ def _goals(path: str, shape: tuple[int, ...]) -> np.ndarray:
     return np.bincount(goals, minlength=shape[0] * shape[1]).reshape(shape).astype(float)
 
 
-def _cells(path: Path) -> list[tuple[int, list[str]]]:
-    """List the lines of a spreadsheet that hold something: number, and cells in lower case."""
+def _cells(path: Path, blank: bool = False) -> list[tuple[int, list[str]]]:
+    """List the lines of a spreadsheet, or only those with something: number, lower-case cells."""
     table = split_cells(path, read_text(path, what="CSV").splitlines())
     lines = [
         (number, [cell.strip().lower() for cell in cells]) for number, cells in enumerate(table, 1)
     ]
-    if not (found := [line for line in lines if any(line[1])]):
+    if not any(any(cells) for _, cells in lines):
         raise damaged(path, "the file is empty")
-    return found
+    return [line for line in lines if any(line[1]) or (blank and len(line[1]) > 1)]
 
 
 def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int], float]:
@@ -111,7 +112,8 @@ def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int
         (_, head), *lines = _cells(Path(file))
         with about(file):
             name, *where = (_find(head, one) for one in ("place", "row", "column"))
-            places = {cells[name]: _cell(cells, where, line) for line, cells in lines}
+            # A line may end before the name.
+            places = {"".join(cells[name:][:1]): _cell(cells, where, line) for line, cells in lines}
     (_, head), *lines = table
     counts: dict[tuple[int, int], float] = defaultdict(float)
     amounts = [index for index, name in enumerate(head) if name in ("count", "quantity")]

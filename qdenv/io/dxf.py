@@ -84,7 +84,7 @@ def read_dxf(path: Path) -> Drawing:
     with parsing(path, "a DXF drawing"):
         text = io.StringIO(content.decode("utf-8", "surrogateescape").replace("\r\n", "\n"))
         document = ezdxf.read(text)
-        facts = json.loads(dict(document.header.custom_vars.properties).get(_FACTS, "{}"))
+        facts = dict(json.loads(dict(document.header.custom_vars.properties).get(_FACTS, "{}")))
         scale = ezdxf.units.conversion_factor(document.units or _METRES, _METRES)
         shapes, others = _shapes(document.modelspace(), scale)
     beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)}

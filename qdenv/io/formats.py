@@ -103,7 +103,7 @@ def need_library(ending: str) -> None:
 
 
 def find_writer(path: Path, form: str | None = None) -> str:
-    """Return the name of the format in which a file is written, see `find_reader`."""
+    """Return the name of the format in which a file is written; InputError for others."""
     if name := _find(path, form, "write"):
         return name
     raise InputError(f"{path}: give a name that ends in {', '.join(ALL_ENDINGS)}")

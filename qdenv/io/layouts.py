@@ -131,6 +131,9 @@ def read_json_rows(path: Path) -> Drawing:
     rows = drawings.get("layout", [])
     starts = structured(content.get("starts", []), tuple[int, ...], f"{path}, starts")
     tasks = structured(content.get("tasks", []), tuple[tuple[int, ...], ...], f"{path}, tasks")
+    structured(content.get("facts", {}), dict[str, Any], f"{path}, facts")
+    if not all(tasks):
+        raise damaged(path, "a task has no cell")
     own = ("n_row", "n_col", "layout", "weights", "domain", "keep", "starts", "tasks")
     details = {name: value for name, value in content.items() if name not in own}
     domain = domain if isinstance(domain, str) else None

@@ -251,11 +251,11 @@ def read_rows(path: Path | str) -> Iterator[dict[str, str]]:
         raise damaged(path, f"not a CSV file after row {number}: {error}") from error
 
 
-def read_table(path: Path | str, kind: type[Row], infinite: Collection[str] = ()) -> Iterator[Row]:
+def read_table(path: Path | str, kind: type[Row]) -> Iterator[Row]:
     """Read a CSV file with a record per row; yield the records.
 
-    `kind` is their NamedTuple: columns of fields that have defaults may be missing. The `infinite`
-    columns may hold infinite numbers. Raises InputError as `read_rows`, with row and column.
+    `kind` is their NamedTuple: columns of fields that have defaults may be missing. Raises
+    InputError as `read_rows`, with row and column.
     """
     hints = get_type_hints(kind)
     optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
@@ -267,7 +267,7 @@ def read_table(path: Path | str, kind: type[Row], infinite: Collection[str] = ()
         cells = {}
         for name, text in row.items():
             try:
-                cells[name] = parse_cell(text, hints[name], name in infinite)
+                cells[name] = parse_cell(text, hints[name])
             except ValueError as error:
                 raise damaged(path, f"row {number}, {name}: {error}") from error
         yield kind(**cells)

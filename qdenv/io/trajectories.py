@@ -63,7 +63,7 @@ class _Output(NamedTuple):
 def write_paths(
     path: Path, positions: np.ndarray, goals: np.ndarray, finished: np.ndarray, width: int
 ) -> None:
-    """Write a run by the ending of its file: JSON for PlanViz, else CSV with a line a robot.
+    """Write a run by the ending of its file: JSON for PlanViz, else CSV, a line a position.
 
     `positions` and `goals` (int [T + 1, A]) are cells of a layout of `width` columns, where agents
     are before each step and at the end, and where they head for, -1 without an order; `finished`
@@ -213,7 +213,7 @@ def _read_league(path: str | Path, output: _Output) -> Trajectories:
     ]
     try:
         return Trajectories(np.stack(cells, axis=1), _errands(output), output.numTaskFinished)
-    except (TypeError, ValueError, LookupError):
+    except (TypeError, ValueError, LookupError, OverflowError):
         raise damaged(path, "events and tasks are not those of 2023, 2024 or 2026") from None
 
 

@@ -72,7 +72,7 @@ def guide(
     if given.get("planner") is None and given.get("effort") is None:
         given["planner"] = args.PibtOptions.usual
     options = args.Fleet(given)
-    plan = options.with_tasks(args.read_plan(layout, options.domain))
+    plan = options.read_plan(layout)
     named = isinstance(base, str) and base in get_args(Base)
     named = named or (base is None and (plan.costs is None or method in ("smooth", "update")))
     method = method or ("smooth" if named else "costs")

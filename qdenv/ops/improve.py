@@ -46,7 +46,7 @@ class Improvement(NamedTuple):
     percent: float  # how much more than the plan
     low: float  # lower end of its 95 % interval
     high: float  # upper end
-    # percent where all shelves are alike, not all endpoints; None for more robots, or stated demand
+    # percent where all shelves are alike; None for more robots, stated demand, or no hall
     by_shelf: float | None
     better: bool  # no interval of the section reaches down to the plan: its plan was written
 

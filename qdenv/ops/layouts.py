@@ -115,7 +115,8 @@ def check(
     elif broken:
         if check_allowed(plan.layout, rules):
             say("(what may stand there all the same: mark it with '!' in a drawing, --keep FILE)")
-        if "e" in fitted.tiles and not (plan.layout == fitted.tiles.index("e")).any():
+        drawn = {fitted.tiles[kind] for kind in np.unique(plan.layout)}
+        if "@" in drawn and "e" in set(fitted.tiles) - drawn:
             say("(no endpoint is drawn: `qdenv repair --keep @` puts them beside the shelves)")
         count = "1 rule" if len(broken) == 1 else f"{len(broken)} rules"
         say(f"{name}, {plan.whose}: {count} broken")
@@ -383,7 +384,8 @@ def make_environment(
     one: Any = layout  # a list of lists is a layout, too
     several = type(one) in (list, tuple) and not isinstance(one[0], list)
     several |= isinstance(one, np.ndarray) and one.ndim == 3
-    plans = [args.read_plan(each, domain) for each in (one if several else [one])]
+    fleet = args.Fleet({"domain": domain})
+    plans = [fleet.read_plan(each) for each in (one if several else [one])]
     if len({(plan.layout.shape, plan.domain.name) for plan in plans}) > 1:
         raise InputError("layouts of one environment have one size and one domain")
     first = plans[0].domain

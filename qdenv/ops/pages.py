@@ -6,7 +6,6 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, Unpack
 
-import numpy as np
 from tyro.conf import Positional, Suppress, arg
 
 from qdenv import devices
@@ -19,7 +18,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.shipped import PREFIX, file_name
 from qdenv.simulation.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import recordings as studies
-from qdenv.study.options import fleet_tasks
+from qdenv.study.options import fleet_tasks, parse_seeds
 from qdenv.study.plans import Plan, name_guidance
 from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
@@ -103,10 +102,7 @@ def replay(
     if films.mp4:
         require_package("films", "imageio-ffmpeg")
     if plan.domain.name in MAZES:
-        if agents is not None:
-            raise InputError("one agent walks in a maze: leave --agents out")
-        if options.effort or PLANNERS.name_of(options.planner) != OWN or not options.stop:
-            raise InputError("mazes have no planner: leave --planner, --effort and --no-stop out")
+        _refuse_fleet(agents, options)
         page, motion, facts = _replay_episode(plan, options.timesteps, seed, films)
     else:
         page, motion, facts = _replay_fleet(plan, agents, options, seed, films)
@@ -134,6 +130,14 @@ def replay(
         "timesteps": motion.timesteps,
     }
     return dataclasses.replace(page, facts=facts)
+
+
+def _refuse_fleet(agents: object, options: args.Fleet) -> None:
+    """Raise InputError where a maze is to have agents or their planner."""
+    if agents is not None:
+        raise InputError("one agent walks in a maze: leave --agents out")
+    if options.effort or PLANNERS.name_of(options.planner) != OWN or not options.stop:
+        raise InputError("mazes have no planner: leave --planner, --effort and --no-stop out")
 
 
 def _replay_fleet(
@@ -234,9 +238,9 @@ def report(
 
     Args:
         sources: layout files, and runs or zoo:DOMAIN/NAME, whose best layout is reported on.
-        agents: number of agents (robots); by default that of the plan or its size, else 200. Half
-            as many to half as many again are simulated as well. Several (50,100 or 50:400:50)
-            replace those; the first layout's peak is then looked at closely.
+        agents: number of agents (robots); by default the first plan's or that of their size, else
+            200. Half as many to half as many again are simulated as well. Several (50,100 or
+            50:400:50) replace those; the first layout's peak is then looked at closely.
         out: page to write (.html); by default report.html.
         again: the command line that makes the page again, which it shows.
         **fleet: see `FleetOptions`.
@@ -263,19 +267,24 @@ def report(
             run = args.open_run(one)
             name = str(run.shipped).removeprefix(PREFIX) if run.shipped else file_name(run.path)
             domain = make_domain(run.config.evaluation.domain)
-            best = Plan(name, np.asarray(run.best.layout), domain, assumed=False)
+            best = options.with_tasks(Plan(name, run.best.layout, domain, assumed=False))
+            if (drawn := run.path / "best_layout.json").exists():
+                saved = args.read_plan(drawn, domain.name)
+                best = best._replace(costs=saved.costs, guidance=saved.guidance)
             subjects.append(Subject(name, str(run), options.guide(best), run))
         else:
             plan = options.read_plan(one)
             subjects.append(Subject(plan.name, args.name_of(one), plan))
     subjects = distinct(subjects)
     if subjects[0].plan.domain.simulator.tasks is None:
-        if counts:
-            raise InputError("no fleet drives in mazes: leave --agents out")
+        _refuse_fleet(counts or None, options)
+        if options.seeds != parse_seeds(10):
+            raise InputError("each maze has 100 episodes of seed 0: leave --seeds out")
         from qdenv.view.report_maze import report_mazes
 
         with Bar("solving mazes") as bar:
             page = report_mazes(subjects, options.timesteps, again, bar)
+        settings = {"domain": options.domain, "timesteps": options.timesteps}
     else:
         # This imports the simulator: refusals are faster without it.
         from qdenv.view.report_fleet import make_request
@@ -283,12 +292,12 @@ def report(
         steps, hour = options.timesteps, options.per_hour
         request = make_request(subjects, counts, steps, options.config, options.seeds, hour)
         page = _report_fleet(request, again)
+        settings = options.settings(options.timesteps, [one.plan for one in subjects])
     if target:
         page.save(target.path)
         say(f"{target}: {target.path.stat().st_size / 1e6:.1f} MB")
-    plans = [one.plan for one in subjects]
-    settings = options.settings(options.timesteps, plans) | {"sources": [*map(str, given)]}
-    return dataclasses.replace(page, facts={**page.facts, "settings": settings})
+    facts = {**page.facts, "settings": settings | {"sources": [*map(str, given)]}}
+    return dataclasses.replace(page, facts=facts)
 
 
 def _report_fleet(request: FleetRequest, again: str) -> Page:

@@ -74,7 +74,7 @@ def compare(
             --planner negotiated,pbs,pibt, each is compared with the first planner on the same
             layout, seed by seed.
         agents: numbers of agents (robots), as 200 or 50,100 or 50:400:50; by default that of the
-            first plan or its size, else 200.
+            first plan or their size, else 200.
         runs: CSV file to write, with a row for each seed.
         **study: see `StudyOptions`.
 

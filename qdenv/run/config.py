@@ -221,11 +221,11 @@ def choose_algorithm(config: RunConfig, algorithm: Any) -> RunConfig:
 def scale(config: RunConfig, base: RunConfig, given: Collection[str]) -> tuple[RunConfig, str]:
     """Scale with the size of the layouts what was not stated.
 
-    Numbers of tiles and agents grow with the generated area, steps of growth with the side that
-    grows most, an axis with the number that its measure cannot exceed; at a size that the domain
-    knows the first three are what it knows. `base` is the configuration that this one was made
-    from, whose numbers belong to its own size; the settings named in `given` stay. Returns the
-    configuration, and a list of what was scaled ("" for nothing).
+    Numbers of tiles, agents and a maze's timesteps grow with the generated area, steps of growth
+    with the side that grows most, an axis with the number that its measure cannot exceed; at a size
+    that the domain knows all but axes are what it knows. `base` is the configuration that this one
+    was made from, whose numbers belong to its own size; the settings named in `given` stay. Returns
+    the configuration, and a list of what was scaled ("" for nothing).
     """
     before = settings = config.evaluation.domain
     old = make_domain(base.evaluation.domain)

@@ -242,8 +242,7 @@ class RunDirectory:
         Raises InputError if the file is missing or damaged; with `salvage` the rows before a damage
         are returned, and it is logged.
         """
-        # Without a success there is no best objective: it is infinite.
-        return _collect(read_table(self.path / METRICS, Metrics, ("best_objective",)), salvage)
+        return _collect(read_table(self.path / METRICS, Metrics), salvage)
 
     def read_notes(self, salvage: bool = False) -> list[Note]:
         """Read notes.csv, the algorithm's own numbers by name, a row for each iteration.

@@ -110,7 +110,7 @@ def make_member(strategy: Any, params: Any) -> tuple[Callable, Callable, Callabl
 
     Of ours the emitter decides how many of the best are recombined, and failed rows have a fitness
     of NaN. Any other algorithm has its own number of parents: it is fed only if there are any, and
-    failed rows rank last and are moved to the mean, where they do not pull.
+    failed rows rank last and are moved to the mean.
 
     Init takes (mean float [P], key) and returns (state, next key), ask takes (state, key) and
     returns (solutions, state, next key), tell takes (state, key, rows float [b, P], their ranks

@@ -41,7 +41,7 @@ class CmaMaeEmitter(Emitter):
         measures: Sequence[Measure],
         x0: Array | None = None,
     ) -> None:
-        """Set the emitter up; the arguments are those of `qdenv.search.cma_mae.cma_mae`."""
+        """Set the emitter up; all strategies start at `x0` (float [P]; zeros where None)."""
         self._config = config
         self._measures = measures
         self._start = start_solution(x0, solution_dim)

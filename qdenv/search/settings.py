@@ -118,6 +118,10 @@ class ScreenedConfig(CmaMaeConfig):
         super().__post_init__()
         if self.ahead:
             raise InputError("cma-mae-screened draws no population ahead: leave ahead at 0")
+        if self.strategy in ("lm_ma", "CR_FM_NES", "PGPE"):
+            raise InputError(
+                f"{self.strategy} learns from all draws, also unevaluated ones: use iso"
+            )
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -75,7 +76,7 @@ def details(sized: Sized) -> dict[str, int | float | str]:
 def parse_size(text: str) -> tuple[int, int]:
     """Read a size like ``57x58`` (rows x columns); raise InputError if it is none."""
     rows, _, cols = text.partition("x")
-    if not (rows.isdecimal() and cols.isdecimal() and int(rows) and int(cols)):
+    if not re.fullmatch(r"0*[1-9]\d{0,8}x0*[1-9]\d{0,8}", text):
         raise InputError(f"size {text!r}: give rows and columns like 57x58")
     return int(rows), int(cols)
 
@@ -144,7 +145,7 @@ def grow_elite(
     if steps is None:
         size = trained.known_size(rows, cols)
         own = GENERATORS.make(config.generator, trained.canvas).steps
-        # A larger canvas grows out of the same seed, at most a cell per step.
+        # A larger canvas grows out of the same seed, a few cells per step.
         longer = max(rows / trained.shape[0], cols / trained.shape[1], 1)
         steps = size.steps if size and own else round(own * longer)
     elite = which if isinstance(which, Elite) else run.archive.elite(which)

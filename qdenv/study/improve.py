@@ -106,7 +106,7 @@ class Judged(NamedTuple):
     plan: Plan  # with the costs of moves that were found, if there are some
     throughput: np.ndarray  # float [2, seeds], tasks per timestep
     changes: tuple[Difference, Difference]  # against the plan, with the same seeds
-    # the first of them where all shelves are alike, not all endpoints; None where demand is stated
+    # the first of them where all shelves are alike; None but for halls without stated demand
     by_shelf: Difference | None = None
 
     @property
@@ -214,15 +214,15 @@ def map_usage(plan: Plan, fleet: FleetConfig) -> np.ndarray:
 def list_candidates(plan: Plan, folder: Path, section: str, lanes: np.ndarray | None) -> list[Plan]:
     """List what a search found, each layout without lanes and with several kinds of them.
 
-    `lanes` are costs of moves that were searched for the plan, int32 [5, H, W].
+    `lanes` are costs of moves found for the plan, int32 [5, H, W]; None if the planner knows none.
     """
     layouts = [plan.layout] if section == "lanes" else best_layouts(folder / section)
     found = []
     for layout in layouts:
         bare = plan._replace(layout=layout, costs=None, guidance="none")
         found += [bare] * (section != "lanes")
-        found.append(guide(bare, "crisscross"))
         if lanes is not None:  # they vary smoothly, so other floors can have them
+            found.append(guide(bare, "crisscross"))
             costs = unscaled_costs(lanes, plan.domain.drivable(layout))
             found.append(bare._replace(costs=costs, guidance="searched"))
     return found

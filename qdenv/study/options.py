@@ -58,9 +58,9 @@ def parse_counts(text: str) -> tuple[int, ...]:
     counts: Sequence[int]
     try:
         if ":" in text:
-            first, last, *step = (int(part) for part in text.split(":"))
+            first, last, *step = numbers = [int(part) for part in text.split(":")]
             # Cut before it is listed: 1:99999999999 must be refused at once.
-            counts = range(first, last + 1, *step)[: _MOST_COUNTS + 1]
+            counts = range(first, last + 1, *step)[: _MOST_COUNTS + 1] if min(numbers) > 0 else ()
         else:
             counts = [int(part) for part in text.split(",")]
     except (ValueError, TypeError):

@@ -379,7 +379,7 @@ def warn_of_changes(changes: Sequence[Mapping[str, Any]]) -> list[str]:
             lines.append(
                 f"WARNING: {len(removed)} of the plan's {change['before']} {name} cells changed, "
                 f"the first at row {removed[0][0]}, column {removed[0][1]}: "
-                "--keep w keeps them, --keep FILE what a drawing marks with '!'"
+                f"--keep {change['tile']} keeps them, --keep FILE what a drawing marks with '!'"
             )
         if placed:
             lines.append(

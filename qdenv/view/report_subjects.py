@@ -45,7 +45,7 @@ def distinct(subjects: Sequence[Subject]) -> list[Subject]:
     counts = Counter(one.name for one in subjects)
     named = [one if counts[one.name] == 1 else one._replace(name=one.source) for one in subjects]
     if len({one.name for one in named}) < len(named):
-        raise InputError(f"{named[0].source}: name each layout and run once")
+        raise InputError("name each layout and run once")
     return named
 
 

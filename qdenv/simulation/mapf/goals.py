@@ -130,7 +130,8 @@ def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
         )
     for goal in rule.cycle:
         if not (np.asarray(goal.weight(layout)) > 0).any():
-            advice = ": repair it with --keep @" if goal.name == "endpoint" else ""
+            shelves = goal.name == "endpoint" and np.any(of_tiles(layout, "@", rule.tiles))
+            advice = ": repair it with --keep @" if shelves else ""
             raise InputError(f"robots have nothing to do: the layout has no {goal.name}{advice}")
     labels, parts = ndimage.label(free)
     if parts > 1:
