@@ -183,7 +183,7 @@ def load_state(path: Path, like: Any) -> tuple[Any, float]:
     arrays, facts = read_state(path, _FACTS, dict[str, float])
     sizes = {str(number): (leaf.shape, leaf.dtype) for number, leaf in enumerate(leaves)}
     if {name: (leaf.shape, leaf.dtype) for name, leaf in arrays.items()} != sizes:
-        raise InputError(f"{path} belongs to a run with other sizes: keep them")
+        raise InputError(f"{path} belongs to a run with other sizes: keep those of its config.json")
     leaves = [jnp.asarray(arrays[name]) for name in sizes]
     return jax.tree.unflatten(structure, leaves), facts.get("cpu_seconds", 0.0)
 

@@ -95,7 +95,7 @@ def _goals(path: str, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _cells(path: Path, blank: bool = False) -> list[tuple[int, list[str]]]:
-    """List the lines of a spreadsheet, or only those with something: number, lower-case cells."""
+    """List the lines of a spreadsheet, `blank` ones only if stated: number, cells in lower case."""
     table = split_cells(path, read_text(path, what="CSV").splitlines())
     lines = [
         (number, [cell.strip().lower() for cell in cells]) for number, cells in enumerate(table, 1)

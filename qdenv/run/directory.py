@@ -247,7 +247,7 @@ class RunDirectory:
     def read_notes(self, salvage: bool = False) -> list[Note]:
         """Read notes.csv, the algorithm's own numbers by name, a row for each iteration.
 
-        There are none where the algorithm has no notes. `salvage` and errors as in `read_metrics`.
+        There are none where the algorithm has no notes. `salvage` and damage as in `read_metrics`.
         """
         path = self.path / NOTES
         return _collect(_iterate_notes(path), salvage) if path.exists() else []

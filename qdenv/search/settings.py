@@ -119,9 +119,7 @@ class ScreenedConfig(CmaMaeConfig):
         if self.ahead:
             raise InputError("cma-mae-screened draws no population ahead: leave ahead at 0")
         if self.strategy in ("lm_ma", "CR_FM_NES", "PGPE"):
-            raise InputError(
-                f"{self.strategy} learns from all draws, also unevaluated ones: use iso"
-            )
+            raise InputError(f"{self.strategy} learns from unevaluated draws, too: use iso")
 
 
 @dataclass(frozen=True)

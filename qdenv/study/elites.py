@@ -76,7 +76,7 @@ def details(sized: Sized) -> dict[str, int | float | str]:
 def parse_size(text: str) -> tuple[int, int]:
     """Read a size like ``57x58`` (rows x columns); raise InputError if it is none."""
     rows, _, cols = text.partition("x")
-    if not re.fullmatch(r"0*[1-9]\d{0,8}x0*[1-9]\d{0,8}", text):
+    if not re.fullmatch(r"0?[1-9]\d{0,8}x0?[1-9]\d{0,8}", text):
         raise InputError(f"size {text!r}: give rows and columns like 57x58")
     return int(rows), int(cols)
 
