@@ -41,8 +41,9 @@ def _library_of(values: Array) -> Any:
 
 def shift(values: Array, move: tuple[int, int], fill: object = 0) -> Array:
     """Look a move (dr, dc) away: result[r, c] = values[r + dr, c + dc], `fill` outside [H, W]."""
-    rows, cols = values.shape
-    padded = _library_of(values).pad(values, 1, constant_values=fill)
+    rows, cols = values.shape[:2]
+    edges = [(1, 1)] * 2 + [(0, 0)] * (values.ndim - 2)
+    padded = _library_of(values).pad(values, edges, constant_values=fill)
     return padded[1 + move[0] : 1 + move[0] + rows, 1 + move[1] : 1 + move[1] + cols]
 
 

@@ -102,9 +102,7 @@ def unscaled_costs(fixed: np.ndarray, traversable: np.ndarray) -> np.ndarray:
 
 def existing_moves(traversable: np.ndarray) -> np.ndarray:
     """Return which moves exist (bool [5, H, W]): from a free cell to a free cell."""
-    free = np.pad(traversable, 1)
-    rows, cols = traversable.shape
-    ahead = [free[1 + r : 1 + r + rows, 1 + c : 1 + c + cols] for r, c in ((0, 0), *MOVES)]
+    ahead = [shift(traversable, move) for move in ((0, 0), *MOVES)]
     return np.stack(ahead) & traversable
 
 

@@ -134,14 +134,12 @@ def formula(function: Function) -> Function:
 
     It is never compiled by itself, which saves much of the time of compiling the kernels.
     """
-    made: Function = numba.njit(inline="always", nogil=True)(function)
-    return made
+    return numba.njit(inline="always", nogil=True)(function)
 
 
 def shared(rule: Function) -> Function:
     """Let compiled functions call `rule`, which stays the plain Python function that it is."""
-    made: Function = register_jitable(rule)
-    return made
+    return register_jitable(rule)
 
 
 def numbers(*names: str) -> Numbers:

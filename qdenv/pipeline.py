@@ -222,5 +222,4 @@ class PipelinedEvaluator:
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:
     """Put the outcomes of parts of a population together, in order."""
-    whole: Outcomes = jax.tree.map(lambda *part: np.concatenate(part), *parts)
-    return whole
+    return jax.tree.map(lambda *part: np.concatenate(part), *parts)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from importlib import metadata
 from typing import Any, NamedTuple
 
-from qdenv.types import InputError, choices
+from qdenv.types import InputError, look_up
 
 
 class Entry(NamedTuple):
@@ -58,8 +58,7 @@ class Registry:
 
     def entry(self, name: str) -> Entry:
         """Look a choice up by name; InputError if there is none, or it cannot be imported."""
-        if name not in self.names():
-            raise InputError(f"unknown {self._what} {name!r}: {choices(name, self.names())}")
+        look_up(dict.fromkeys(self.names()), name, self._what)
         if name not in self._entries:
             reference = self._references[name]
             entry = self._import(name, reference) if isinstance(reference, str) else reference

@@ -38,8 +38,7 @@ def standard_error(values: ArrayLike) -> np.ndarray:
     array = np.asarray(values, float)
     if len(array) < 2:
         return np.full(array.shape[1:], np.nan)
-    error: np.ndarray = array.std(axis=0, ddof=1) / np.sqrt(len(array))
-    return error
+    return array.std(axis=0, ddof=1) / np.sqrt(len(array))
 
 
 def sample_of(values: np.ndarray) -> Sample:

@@ -195,6 +195,7 @@ MISTAKES = {
     "train-agent --levels.textured 1.5": "textured must be at most 1, not 1.5",
     "train-agent --rate nan": "rate must be a finite number, not nan",
     "train-agent --resume --out agent --steps 50": "more steps are configured already",
+    "resume agent --evaluations 5": "is not the run of one search: leave --evaluations out",
     "evaluate-agent maze.txt --horizon -5": "timesteps must be at least 1, not -5",
     "evaluate-agent plan.txt": "the agent walks in mazes",
     "evaluate-agent maze.txt --random-mazes 1": "--random-mazes 1: give 2 to 10,000",

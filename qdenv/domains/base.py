@@ -85,8 +85,7 @@ class DomainConfig(Ranged):
             return self
         # The timesteps of a known size are those of reported numbers: a search uses shorter runs.
         agents = size.agents if size else max(1, round(self.fleet.agents * ratio))
-        settings: Any = replace(self, fleet=replace(self.fleet, agents=agents))  # type: ignore
-        return settings
+        return replace(self, fleet=replace(self.fleet, agents=agents))  # type: ignore
 
 
 # An entry's maker is called as make(settings) and returns a `Domain`.

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import tyro
 
 from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.lazy import jax
 from qdenv.ranges import TaskRate
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal, weigh
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Measure, TaskRule, Tile, Traffic
-
-if TYPE_CHECKING:
-    import jax
 
 _TILES = ".#"
 _MEANINGS = {

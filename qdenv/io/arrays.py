@@ -129,14 +129,12 @@ def read_arrays(
         names = [name[:-4] for name in archive.namelist() if name.endswith(".npy")]
         if missing := [name for name in columns if name not in names]:
             raise damaged(path, f"{missing[0]} is missing")
-        expected = {name: {**known, **columns}.get(name, others) for name in names}
+        listed = {name: {**known, **columns}.get(name, others) for name in names}
+        expected = {name: column for name, column in listed.items() if column is not None}
         for name, column in expected.items():  # all headers before any values
-            if column is not None:
-                _check_header(archive, name, column, path)
+            _check_header(archive, name, column, path)
         arrays = {}
         for name, column in expected.items():
-            if column is None:
-                continue
             with archive.open(f"{name}.npy") as member:
                 values: np.ndarray = np.lib.format.read_array(
                     member, allow_pickle=False, max_header_size=_MAX_HEADER

@@ -89,10 +89,7 @@ def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
     Without `form` the file's ending decides; JSON is the format of any other one.
     """
     name = _find(path, form, "read") or "json"
-    reader: Callable[[Path], Any] = pkgutil.resolve_name(
-        "{0.module}:{0.read}".format(FORMATS[name])
-    )
-    return reader
+    return pkgutil.resolve_name("{0.module}:{0.read}".format(FORMATS[name]))
 
 
 def need_library(ending: str) -> None:

@@ -107,9 +107,8 @@ def read_scen(path: Path) -> Drawing:
     except (ValueError, OverflowError) as error:
         raise damaged(path, f"not a whole number: {error}") from error
     cols = len(drawing.rows[0]) if drawing.rows else 0
-    size = points[:, [1, 0, 1, 0]], (len(drawing.rows), cols)
-    if (size[0][:, :2] != size[1]).any():
-        raise damaged(path, f"the map is {size[1][0]} x {cols}, not what a line says")
+    if (points[:, [1, 0]] != (len(drawing.rows), cols)).any():
+        raise damaged(path, f"the map is {len(drawing.rows)} x {cols}, not what a line says")
     if (points[:, 2:] < 0).any() or (points[:, 2:] >= points[:, [0, 1, 0, 1]]).any():
         raise damaged(path, "a start or goal lies outside of the map")
     starts, goals = (points[:, [3, 5]] * cols + points[:, [2, 4]]).T.tolist()
@@ -204,8 +203,7 @@ def write_lorr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         write_atomically(path.with_suffix(ending), ("\n".join(lines) + "\n").encode())
     stem = {f"{name}File": f"{path.stem}.{name}s" for name in ("agent", "task")}
     content = {"mapFile": f"{path.stem}.map", **stem, "teamSize": len(drawing.starts)}
-    usual = {"numTasksReveal": 1.5}
-    text = json.dumps({**usual, **drawing.details, **content}, indent=4)
+    text = json.dumps({"numTasksReveal": 1.5, **drawing.details, **content}, indent=4)
     write_atomically(path, f"{text}\n".encode())
     return lost
 
@@ -224,16 +222,11 @@ def read_pogema(path: Path) -> Drawing:
     if [symbol.upper() for symbol in starts] != sorted({*letters} - {*starts}):
         raise damaged(path, "a robot a has a goal A, and each goal a robot")
     tasks = tuple((letters[symbol.upper()],) for symbol in starts)
-    lost = (
-        ["where robots may start and goals may be (@ $ !) are"]
-        if any(symbol in row for row in rows for symbol in "@$!")
-        else []
-    )
+    marked = any(symbol in row for row in rows for symbol in "@$!")
+    lost = ("where robots may start and goals may be (@ $ !) are",) * marked
     plain = str.maketrans(dict.fromkeys((*letters, *"@$!"), "."))
     drawn = [row.translate(plain) for row in rows]
-    return Drawing(
-        drawn, starts=tuple(letters[one] for one in starts), tasks=tasks, lost=tuple(lost)
-    )
+    return Drawing(drawn, starts=tuple(letters[one] for one in starts), tasks=tasks, lost=lost)
 
 
 def write_pogema(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:

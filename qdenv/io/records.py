@@ -105,8 +105,7 @@ def structured(
     number, not "many"``; or a fraction that is infinite, unless these are allowed.
     """
     try:
-        record: T = _Reader(infinite, choices).read(content, kind, "")
-        return record
+        return _Reader(infinite, choices).read(content, kind, "")
     except InputError as error:
         raise damaged(source, error) from error
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Unpack, get_args
+from typing import Annotated, Any, Unpack, get_args
 
 import numpy as np
 from tyro.conf import arg
@@ -19,14 +19,11 @@ from qdenv.progress import Bar
 from qdenv.ranges import PositiveInt
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
-from qdenv.simulation.mapf.settings import describe_planner
+from qdenv.simulation.mapf.settings import FleetConfig, describe_planner
 from qdenv.study import table as studies
 from qdenv.study.plans import Plan
 from qdenv.study.plans import guide as guide_plan
 from qdenv.types import InputError
-
-if TYPE_CHECKING:
-    from qdenv.simulation.mapf.settings import FleetConfig
 
 FILE, PICTURE, ROWS = "guidance.json", "guidance.png", "before_after.csv"  # in the run's folder
 _SHARES = (0.5, 0.75, 1.0, 1.25)  # of the number of agents, for which before and after are shown

@@ -207,19 +207,16 @@ def _choose_start(folder: Path, plan: Plan, config: Any) -> np.ndarray:
     """
     from qdenv.study import improve as studies
 
-    best = (studies.mean_throughput(plan, config.fleet, range(2)).mean(), plan.name, plan.layout)
-    lines = [("floor", "throughput"), (plan.name, f"{best[0]:.3f}")]
     with Bar("growing generators of the zoo") as bar:
         zoo = [*studies.zoo_floors(plan.domain, config.seed, bar)]
     rows = studies.best_layouts(folder / "rows") if (folder / "rows").exists() else []
-    for name, layout in [*zoo, *((f"racks in rows {n}", one) for n, one in enumerate(rows, 1))]:
-        grown = plan._replace(layout=layout, costs=None)
-        worth = studies.mean_throughput(grown, config.fleet, range(2)).mean()
-        lines.append((name, f"{worth:.3f}"))
-        best = max(best, (worth, name, layout), key=lambda one: one[0])
-    say(*format_table(lines), f"the search begins at {best[1]}")
-    start: np.ndarray = best[2]
-    return start
+    others = [*zoo, *((f"racks in rows {n}", one) for n, one in enumerate(rows, 1))]
+    floors = [plan, *(plan._replace(name=name, layout=one, costs=None) for name, one in others)]
+    worths = [studies.mean_throughput(one, config.fleet, range(2)).mean() for one in floors]
+    best = floors[int(np.argmax(worths))]
+    lines = [(one.name, f"{worth:.3f}") for one, worth in zip(floors, worths, strict=True)]
+    say(*format_table([("floor", "throughput"), *lines]), f"the search begins at {best.name}")
+    return best.layout
 
 
 def _finish(folder: Path, plan: Plan, config: Any, judged: Sequence[Any]) -> Table:

@@ -24,7 +24,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.shipped import file_name
 from qdenv.study.options import find_surrogate, parse_seeds
 from qdenv.study.plans import Plan
-from qdenv.study.recordings import MAZES
+from qdenv.study.recordings import MAZES, trace_agent
 from qdenv.types import InputError
 
 if TYPE_CHECKING:  # imports jax
@@ -167,7 +167,6 @@ def evaluate_agent(
             others = compare_with_random(weights, maze, number, runs, seed, steps, progress=bar)
         facts["random_mazes"] = _report_random(table, others, plan, result.rate)
     if picture:
-        from qdenv.study.recordings import trace_agent
         from qdenv.view.film import save_film
 
         motion = trace_agent(plan, seed, steps, weights)

@@ -169,7 +169,7 @@ def resume(
     Args:
         run: folder of the run.
         progress: show a progress bar.
-        evaluations: a new total, to continue beyond the configured one.
+        evaluations: a new total of one search, to continue beyond the configured one.
         execution: where layouts are repaired and simulated; the result is the same everywhere.
         pictures: draw the run when it ends, as the command does.
 
@@ -184,13 +184,17 @@ def resume(
         ``qdenv resume runs/first``
     """
     path = run.path if isinstance(run, RunDirectory) else Path(run)
-    for folder in (path, path.parent):  # the searches of an improvement go on together
-        if (folder / "improve.json").exists():
-            from qdenv.ops.improve import improve_folder  # which imports the whole chain
+    # The searches of an improvement go on together.
+    improved = [one for one in (path, path.parent) if (one / "improve.json").exists()]
+    agent = (path / "checkpoint.npz").exists() and (path / "config.json").exists()
+    if evaluations is not None and (improved or agent):
+        raise InputError(f"{path} is not the run of one search: leave --evaluations out")
+    if improved:
+        from qdenv.ops.improve import improve_folder  # which imports the whole chain
 
-            improve_folder(folder, progress, execution)
-            return folder
-    if (path / "checkpoint.npz").exists() and (path / "config.json").exists():  # an agent's
+        improve_folder(improved[0], progress, execution)
+        return improved[0]
+    if agent:
         return train_agent(read_json(path / "config.json", TrainConfig), path, resume=True)
     opened = RunDirectory.open(path)
     opened.demand_own()

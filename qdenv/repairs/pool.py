@@ -110,7 +110,7 @@ def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array | int) -> Repair
     shapes = layouts.shape, batch, batch, batch, batch
     dtypes = np.int8, np.int32, np.float32, np.float32, np.float32
     fields: Any = map(jax.ShapeDtypeStruct, shapes, dtypes)
-    repaired: Repair = jax.pure_callback(
+    return jax.pure_callback(
         # Only numpy here: a jax call inside a callback can wait for the very device it blocks.
         lambda layouts, seed: pool.repair(np.asarray(layouts), int(np.asarray(seed))),
         Repair(*fields),
@@ -118,4 +118,3 @@ def repair_in_jit(pool: RepairPool, layouts: Array, seed: Array | int) -> Repair
         seed,
         vmap_method="sequential",
     )
-    return repaired

@@ -276,8 +276,7 @@ class SavedArchive:
         if path.suffix.lower() != ".parquet":
             table = self.table(solutions)
             # As numpy's numbers: Python's would show digits that single precision does not hold.
-            columns = [list(column) for column in table.values()]
-            write_csv(path, list(table), zip(*columns, strict=True))
+            write_csv(path, list(table), zip(*table.values(), strict=True))
             return
         content = io.BytesIO()
         try:

@@ -60,8 +60,7 @@ def config_to_json(config: RunConfig) -> dict[str, Any]:
 
     Raises InputError if the type of a setting is not registered.
     """
-    content: dict[str, Any] = unstructured(config, _CHOICES)
-    return content
+    return unstructured(config, _CHOICES)
 
 
 def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
@@ -107,11 +106,9 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
     # Choices first: which other names there are depends on them.
     for name in sorted(settings, key=lambda name: name not in (*_CHOICES, "effort")):
         value = settings[name]
-        if name == "domain" and isinstance(value, str):
-            config = choose_domain(config, value)
-            continue
-        if name == "generator" and isinstance(value, str):
-            config = choose_generator(config, value)
+        choose = {"domain": choose_domain, "generator": choose_generator}.get(name)
+        if choose and isinstance(value, str):
+            config = choose(config, value)
             continue
         if name in ("effort", "planner"):
             config = choose_planner(config, settings.get("effort"), settings.get("planner"))
@@ -160,11 +157,9 @@ def _replaced(record: Any, values: Mapping[tuple[str, ...], Any]) -> Any:
 def choose_domain(config: RunConfig, name: str) -> RunConfig:
     """Put another domain into a configuration, with what the old one states beyond its defaults."""
     old, kind = make_domain(config.evaluation.domain), DOMAINS.entry(name).config
-    settings, defaults = old.config, type(old.config)()
-    shared = {field.name for field in dataclasses.fields(settings)}
-    shared &= {field.name for field in dataclasses.fields(kind)}
-    values = {name: getattr(settings, name) for name in shared}
-    stated = {name: one for name, one in values.items() if one != getattr(defaults, name)}
+    ours, usual = vars(old.config), vars(type(old.config)())
+    shared = {field.name for field in dataclasses.fields(kind)} & ours.keys()
+    stated = {name: ours[name] for name in shared if ours[name] != usual[name]}
     new = make_domain(kind(**stated))
     # Ranges of the archive that were stated for other measures mean nothing here.
     alike = [one.name for one in old.measures] == [one.name for one in new.measures]
@@ -320,17 +315,16 @@ def archive_axes(
     measures: Sequence[Measure], ranges: Sequence[tuple[float, float, int]]
 ) -> tuple[Measure, ...]:
     """Give measures the configured ranges (low, high, cells), or their own where there are none."""
-    if ranges and len(ranges) != len(measures):
+    ranges = ranges or [axis[1:4] for axis in measures]
+    if len(ranges) != len(measures):
         names = " and ".join(axis.name for axis in measures)
         raise InputError(
             f"{len(ranges)} axes given: this archive has {len(measures)}, {names}; write "
             f"--archive LOW HIGH CELLS for each of them, one after the other"
         )
-    axes = tuple(measures)
-    if ranges:
-        axes = tuple(
-            axis._replace(low=low, high=high, cells=cells)
-            for axis, (low, high, cells) in zip(measures, ranges, strict=True)
-        )
+    axes = tuple(
+        axis._replace(low=low, high=high, cells=cells)
+        for axis, (low, high, cells) in zip(measures, ranges, strict=True)
+    )
     check_measures(axes)
     return axes

@@ -83,8 +83,7 @@ class ImproveConfig(Ranged):
     @property
     def fleet(self) -> FleetConfig:
         """The simulations that judge."""
-        fleet: FleetConfig = self.domain.fleet
-        return fleet
+        return self.domain.fleet
 
     @property
     def searched(self) -> FleetConfig:

@@ -327,10 +327,10 @@ def write_rows(
 
     Raises InputError if the place cannot be written to.
     """
-    columns, left_out = columns or {}, ["each"] + ["planner"] * (not rows[0].planner)
-    fields = [name for name in Row._fields if name not in left_out]
-    values = [[getattr(row, name) for name in fields] for row in rows]
-    _write(path, (*fields, *columns), zip(values, *columns.values(), strict=True))
+    left_out = ["each"] + ["planner"] * (not rows[0].planner)
+    names = [name for name in Row._fields if name not in left_out]
+    table = {name: [getattr(row, name) for row in rows] for name in names} | dict(columns or {})
+    _write(path, list(table), zip(*table.values(), strict=True))
 
 
 def write_runs(path: Path, rows: Sequence[Row]) -> None:
@@ -340,14 +340,13 @@ def write_runs(path: Path, rows: Sequence[Row]) -> None:
     """
     head = ("layout", *["planner"] * bool(rows[0].planner), "agents", *Run._fields)
     lines = [(row.layout, row.planner, row.agents, *run) for row in rows for run in row.each]
-    _write(path, head, (([one for one in line if one != ""],) for line in lines))
+    _write(path, head, ([one for one in line if one != ""] for line in lines))
 
 
 def _write(path: Path, head: Sequence[str], lines: Iterable[Sequence[Any]]) -> None:
-    """Write lines of a list and further values each."""
+    """Write lines of values."""
     # Six digits are more than any of these numbers means.
     rounded = [
-        [float(f"{one:.6g}") if isinstance(one, float) else one for one in (*row, *rest)]
-        for row, *rest in lines
+        [float(f"{one:.6g}") if isinstance(one, float) else one for one in line] for line in lines
     ]
     write_csv(path, head, rounded)

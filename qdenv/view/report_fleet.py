@@ -213,25 +213,15 @@ def _describe_planner(request: FleetRequest) -> str:
 
 def _draw_changes(subjects: Sequence[Subject], scenes: Sequence[Scene]) -> list[dict[str, str]]:
     """Draw each further layout beside the first one, where the sizes are the same."""
-    first, *others = zip(subjects, scenes, strict=True)
-    return [
-        {
-            "name": one.name,
-            "figure": to_svg(
-                draw_change(
-                    first[0].plan,
-                    one.plan,
-                    (first[1].maps.usage, scene.maps.usage),
-                    (first[0].name, one.name),
-                    WIDTH,
-                ),
-                f"change-{number}",
-                crop=True,
-            ),
-        }
-        for number, (one, scene) in enumerate(others)
-        if one.plan.layout.shape == first[0].plan.layout.shape
-    ]
+    (first, before), *others = zip(subjects, scenes, strict=True)
+    changes = []
+    for number, (one, after) in enumerate(others):
+        if one.plan.layout.shape == first.plan.layout.shape:
+            usages = before.maps.usage, after.maps.usage
+            figure = draw_change(first.plan, one.plan, usages, (first.name, one.name), WIDTH)
+            svg = to_svg(figure, f"change-{number}", crop=True)
+            changes.append({"name": one.name, "figure": svg})
+    return changes
 
 
 def _draw(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.grid import MOVES
+from qdenv.grid import MOVES, shift
 from qdenv.repairs.rules import Facts
 
 Term = tuple[int, float]  # a column and its coefficient
@@ -76,17 +76,10 @@ def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Constraints:
     """A cell with one of the roles `tiles` (bool [R]) has a neighbour with one of `needs`."""
     own, holds = cells.express(tiles)
     serving, serves = cells.express(needs)
-    height, width = holds.shape
-
-    def around(array: np.ndarray, outside: float) -> list[np.ndarray]:
-        """List, for each cell of [H, W, ...], its four neighbours; `outside` beyond the grid."""
-        padded = np.full((height + 2, width + 2, *array.shape[2:]), outside, array.dtype)
-        padded[1:-1, 1:-1] = array
-        return [padded[1 + r : 1 + r + height, 1 + c : 1 + c + width] for r, c in MOVES]
-
-    columns = np.concatenate([cells.columns, *around(cells.columns, -1)], -1)
-    values = np.concatenate([-own, *around(serving, 0)], -1)
-    low = holds - sum(around(serves, 0))
+    around = [shift(cells.columns, move, -1) for move in MOVES]
+    columns = np.concatenate([cells.columns, *around], -1)
+    values = np.concatenate([-own, *(shift(serving, move) for move in MOVES)], -1)
+    low = holds - sum(shift(serves, move) for move in MOVES)
     may = (holds > 0) | ((cells.columns >= 0) & (own != 0)).any(-1)
     return at_least(low[may], (columns[may], values[may]))
 
@@ -129,7 +122,8 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
     for rule in facts.rules.covers:
         for shape in rule.shapes:
             wholes.append(np.full(layout.shape, -1))
-            inside = _corners(wholes[-1], shape)
+            height, width = np.maximum(np.subtract(layout.shape, shape) + 1, 0)
+            inside = wholes[-1][:height, :width]  # where it may have its first corner
             inside[:] = size + np.arange(inside.size).reshape(inside.shape)
             size += inside.size
     lines = list[np.ndarray]()
@@ -206,12 +200,6 @@ def _counts(
         high = np.inf if bound.high is None else bound.high
         rows.append(total(cells, values, constant, bound.low, high, extra))
     return rows
-
-
-def _corners(columns: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the part of an array [H, W] where a rectangle may have its first corner."""
-    height, width = np.maximum(np.array(columns.shape) - shape + 1, 0)
-    return columns[:height, :width]
 
 
 def _covers(cells: Cells, wholes: Sequence[np.ndarray], facts: Facts) -> Iterator[Constraints]:

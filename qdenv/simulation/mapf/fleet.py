@@ -213,12 +213,11 @@ def _run(
 
         like = jax.eval_shape(lambda: blank_outcome(world, config, keep))
         # On a CPU the callback works on jax's own buffers, which elsewhere it cannot reach.
-        outcome: Outcome = jax.lax.platform_dependent(
+        return jax.lax.platform_dependent(
             *(world, seed, active.sum()),
             cpu=buffer_callback(on_host, like, vmap_method="sequential"),
             default=partial(jax.pure_callback, copied, like, vmap_method="sequential"),
         )
-        return outcome
     first = place(world, config.window, active, seed)
     counters, _, _, room, _ = blank_outcome(world, config, keep)
 

@@ -62,7 +62,7 @@ def longest_path(layout: Array) -> Course:
         seen, last, length, _ = now
         near = seen
         for move in MOVES:
-            near = near | jax.vmap(lambda plane, m=move: shift(plane, m), 2, 2)(seen)
+            near = near | shift(seen, move)
         fresh = jnp.where(free, near, np.uint32(0)) & ~seen
         grew = fresh.any()
         return seen | fresh, jnp.where(grew, fresh, last), length + grew, grew

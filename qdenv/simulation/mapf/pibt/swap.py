@@ -9,7 +9,7 @@ to where the passage ends.
 from typing import Any
 
 from qdenv.grid import NUM_MOVES
-from qdenv.native import formula, inlined, kernel
+from qdenv.native import inlined, kernel
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.state import HostRun
 from qdenv.simulation.mapf.planner import NOBODY
@@ -94,7 +94,7 @@ def _step_back(run: HostRun, rollout: _Rollout, puller: int, pusher: int) -> tup
         if cell == pusher or not run.grid.free[cell]:
             continue
         other = rollout.occupant[cell]
-        if other != NOBODY and _goal_of(run, rollout, other) == cell:
+        if other != NOBODY and run.grid.goals[run.goal[rollout.stage[other], other]] == cell:
             exits = 0
             for step in range(1, NUM_MOVES):
                 exits += run.grid.free[cell + run.grid.steps[step]]
@@ -102,12 +102,6 @@ def _step_back(run: HostRun, rollout: _Rollout, puller: int, pusher: int) -> tup
                 continue
         ways, back = ways + 1, cell
     return ways, back
-
-
-@formula
-def _goal_of(run: HostRun, rollout: _Rollout, agent: int) -> int:
-    """Return the cell of an agent's goal in the rollout."""
-    return run.grid.goals[run.goal[rollout.stage[agent], agent]]
 
 
 @kernel
