@@ -5,8 +5,6 @@ bundle into lanes. Agents and collisions are no part of it. The baselines of Zha
 (https://arxiv.org/abs/2402.01446, https://github.com/lunjohnzhang/ggo_public), with their numbers.
 """
 
-from __future__ import annotations
-
 import heapq
 
 import numpy as np

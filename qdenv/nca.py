@@ -206,12 +206,10 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
     def frames(solutions: jax.Array, steps: int) -> jax.Array:
         def one(weights: jax.Array) -> jax.Array:
             def step(cells: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
-                grown = grow_one(weights[:size], cells, 1)
-                return grown, choose_tiles(grown[..., :kinds])
+                return grow_one(weights[:size], cells, 1), choose_tiles(cells[..., :kinds])
 
-            first = jnp.asarray(start)
-            _, later = jax.lax.scan(step, first, None, length=steps)
-            return jnp.concatenate([choose_tiles(first[..., :kinds])[None], later])
+            last, before = jax.lax.scan(step, jnp.asarray(start), None, length=steps)
+            return jnp.concatenate([before, choose_tiles(last[..., :kinds])[None]])
 
         return jax.lax.map(one, solutions)
 

@@ -7,8 +7,6 @@ qdenv/zoo/DOMAIN/generators.json   their names and figures, a `Collection`
 `experiments/zoo.py` writes them; most commands that read a run take ``zoo:DOMAIN/NAME``, too.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass

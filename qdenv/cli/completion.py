@@ -1,7 +1,5 @@
 """The command completion: a script that lets a shell complete commands, options and names."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import pkgutil

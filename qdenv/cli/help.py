@@ -1,7 +1,5 @@
 """Help of a command on one screen: an example, what most people need; the rest by `--help-all`."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

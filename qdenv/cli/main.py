@@ -3,8 +3,6 @@
 The module of a command is imported when it is chosen: help and most refusals import no jax.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import errno

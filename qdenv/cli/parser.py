@@ -1,7 +1,5 @@
 """From a command line to a call: tyro reads the types, a mistake becomes one line."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import dataclasses

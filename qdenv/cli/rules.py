@@ -5,8 +5,6 @@ stands for. Every one of them is left out of the call unless the command line st
 operation knows what was stated; help shows the default all the same.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

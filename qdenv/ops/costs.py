@@ -9,8 +9,6 @@ CPU seconds on one core of a cloud machine, for what runs of the presets took in
 | surrogate of DSAGE    | cells, for the settings of a preset only          |
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib

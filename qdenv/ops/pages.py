@@ -24,6 +24,7 @@ from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
 from qdenv.types import InputError
 from qdenv.view.page import Page, require_package
+from qdenv.view.replay import about_fleet, make_replay
 from qdenv.view.report_subjects import Subject, distinct
 
 if TYPE_CHECKING:  # imports the simulator
@@ -149,9 +150,6 @@ def _replay_fleet(
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     config = options.config(agents, timesteps)
     studies.check_run(config.agents, config.timesteps, seed)
-    # This imports the simulator: refusals are faster without it.
-    from qdenv.view.replay import about_fleet, make_replay
-
     with Bar("simulating") as bar:
         motion, traffic = studies.record_fleet(plan, config, seed, bar)
     about = about_fleet(plan, config, seed, motion, traffic)
@@ -177,8 +175,6 @@ def _replay_episode(
     """Let the agent walk through a maze once and make its page."""
     films.check_end(timesteps)
     studies.check_run(1, timesteps or 1, seed)
-    from qdenv.view.replay import make_replay
-
     with Bar("walking"):
         motion = studies.trace_agent(plan, seed, timesteps)
     success = bool(motion.finished.any())

@@ -21,6 +21,7 @@ from qdenv.repairs.settings import Polish
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import file_name
+from qdenv.study import elites as studies
 from qdenv.study.groups import CURVES, band_of, group_runs
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import describe_changes, list_changes
@@ -161,9 +162,6 @@ def generate(
     plan = None if growth.plan is None else args.read_plan(growth.plan)
     named = not isinstance(elite, Elite)
     found = opened.archive.elite(elite, growth.measures or None) if named else elite
-    # This imports jax: refusals are faster without it.
-    from qdenv.study.elites import draw_grown_costs, grow_elite, grow_frames, repair_grown
-
     config = opened.config
     trained = make_domain(config.evaluation.domain)
     whose = trained if plan is None else plan.domain
@@ -171,21 +169,21 @@ def generate(
     target = place(out, "layout.json", endings, [growth.plan, growth.keep])
     size = rows, cols
     with Bar("growing") as bar:
-        grown = grow_elite(opened, found, size, growth.steps, numbers, growth.keep, plan)
+        grown = studies.grow_elite(opened, found, size, growth.steps, numbers, growth.keep, plan)
         domain, layout = grown.domain, grown.layout
         if growth.frames is not None:
             from qdenv.view.layouts import draw_frames  # imports matplotlib
             from qdenv.view.style import save_figure
 
             frames = (target or Place(Path("layout.json"), False)).beside("_frames.png").path
-            after, grids = grow_frames(opened, grown, growth.frames)
+            after, grids = studies.grow_frames(opened, grown, growth.frames)
             save_figure(draw_frames(grids, after, domain.tiles), frames)
             say(f"{frames}: after {', '.join(map(str, after))} steps")
         # With the run's own seed, the elite at its trained size is the layout that was evaluated.
         seed = config.seed if growth.seed is None else growth.seed
         if growth.polish:
             grown = grown._replace(repair=dataclasses.replace(grown.repair, polish=growth.polish))
-        repaired = repair_grown(grown, seed, bar) if repair else None
+        repaired = studies.repair_grown(grown, seed, bar) if repair else None
     chosen = [*(numbers if plan is None else domain.counted), *["steps"] * bool(growth.steps)]
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:
@@ -199,7 +197,7 @@ def generate(
         details |= {"repair": status, "changed": cost, "lower_bound": bound}
         say(f"repair: {status}, {cost:g} cells changed, {bound:g} at least")
         say(*describe_changes(list_changes(grown.layout, layout, domain)))
-    costs = draw_grown_costs(config.evaluation, grown, layout)
+    costs = studies.draw_grown_costs(config.evaluation, grown, layout)
     facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
     settings = {"run": str(run), "elite": found.cell, "seed": seed}
     details |= {} if plan is None else plan.facts.details
@@ -246,8 +244,6 @@ def series(
         name: numbers.pop(name) for name in domain.rule_settings if name in numbers
     }
     domain = domain.resized(*domain.shape, rules)
-    from qdenv.study import elites as studies  # imports jax
-
     shapes = [studies.parse_size(text) for text in sizes] or list(studies.SIZES)
     for shape in shapes:
         check_size(*shape)

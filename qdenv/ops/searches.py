@@ -17,6 +17,7 @@ from qdenv.io.records import read_json
 from qdenv.ops import options as args
 from qdenv.ops.costs import describe_cost, remember_cost
 from qdenv.ops.guidance import finish_guide
+from qdenv.ops.improve import improve_folder
 from qdenv.ops.networks import train_agent
 from qdenv.ops.output import PICTURES, Result, format_table, place, say
 from qdenv.ops.runs import plot_one
@@ -190,8 +191,6 @@ def resume(
     if evaluations is not None and (improved or agent):
         raise InputError(f"{path} is not the run of one search: leave --evaluations out")
     if improved:
-        from qdenv.ops.improve import improve_folder  # which imports the whole chain
-
         improve_folder(improved[0], progress, execution)
         return improved[0]
     if agent:

@@ -1,7 +1,5 @@
 """The axes of a grid archive: from measures to cells."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

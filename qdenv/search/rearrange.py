@@ -10,8 +10,6 @@ Simulations are noisy, and the best of many was lucky. So every member of the po
 evaluated again in each iteration, and ranked by its mean less its standard error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

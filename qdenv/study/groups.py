@@ -1,7 +1,5 @@
 """Several runs of a search side by side: which repeat one another, and what tells others apart."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

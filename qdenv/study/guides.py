@@ -1,7 +1,5 @@
 """Guidance for a floor that stands: the search of its costs, and what was found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, get_args
 

@@ -1,7 +1,5 @@
 """Options of studies: seeds, numbers of agents, what must stay, what a known size gives."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

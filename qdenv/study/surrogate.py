@@ -1,7 +1,5 @@
 """Cross-validation of a surrogate on a run's archive: random splits and their scores."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ falls all of a sudden, when a jam forms that no agent gets out of: the hand-made
 *congested*, i.e. that never more than half of the agents stood still at once, says little then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil, floor

@@ -1,10 +1,8 @@
 """Marks on layouts: what a change removed and placed, with its traffic; what a check found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,16 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from qdenv.guidance import preferences
+from qdenv.repairs.audit import Violation
 from qdenv.study.diagnosis import Remark
+from qdenv.study.plans import Plan
 from qdenv.types import Array, InputError
 from qdenv.view import style
 from qdenv.view.guidance import STRONGEST, draw_arrows
 from qdenv.view.layouts import CHANGED, draw_layout, draw_plan, number_cells, side_of
 from qdenv.view.traffic import draw_map, top_of
-
-if TYPE_CHECKING:
-    from qdenv.repairs.audit import Violation
-    from qdenv.study.plans import Plan
 
 _FRAMED = 0.4  # share of the cells beyond which a change is a new floor: frames would hide it
 

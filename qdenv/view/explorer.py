@@ -1,7 +1,5 @@
 """The explorer: a page on which a run's archive can be touched, its numbers, layouts and growth."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import shlex

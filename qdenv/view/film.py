@@ -1,7 +1,5 @@
 """Films of a run, as GIF or MP4: tiles, robots, jams; in a maze the agent's way."""
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 from collections.abc import Iterator, Sequence

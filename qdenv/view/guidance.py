@@ -4,8 +4,6 @@ An arrow lies across the border of two free cells and points the preferred way, 
 seen as lanes and crossings as crossings. It is longer and darker the stronger the preference is.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, to_rgba_array

@@ -5,8 +5,6 @@ each step, three of which fit a byte; its goals are the first one and each that 
 `scripts/replay_film.js` decodes this.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

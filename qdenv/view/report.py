@@ -4,8 +4,6 @@
 sections of each.
 """
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Sequence
 from datetime import datetime
@@ -14,6 +12,7 @@ from typing import Any
 
 from qdenv import devices
 from qdenv.run.directory import package_versions
+from qdenv.search.registry import ALGORITHMS
 from qdenv.study.groups import algorithm_name, group_runs
 from qdenv.view.archive import draw_archive, scatter_objectives
 from qdenv.view.page import Page, make_page
@@ -58,8 +57,6 @@ def make_report(
 
 def _search(subject: Subject, number: int) -> dict[str, Any]:
     """Return what the page shows of the run that a layout comes from."""
-    from qdenv.search.registry import ALGORITHMS  # imports an algorithm when one is looked up
-
     run = subject.run
     assert run is not None
     schema, archive, heat_svg = run.schema, run.archive, ""

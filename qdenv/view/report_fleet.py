@@ -1,7 +1,5 @@
 """The report on layouts in which a fleet drives: the study behind it, and its page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple

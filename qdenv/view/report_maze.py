@@ -1,7 +1,5 @@
 """The report on mazes: how often the agent reaches the goal, where it walks, how soon it ends."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

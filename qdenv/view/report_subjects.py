@@ -1,7 +1,5 @@
 """What a report is about: floor plans, given as files or as the best of a run, and their rival."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple

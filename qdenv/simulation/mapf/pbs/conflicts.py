@@ -91,8 +91,7 @@ def find_conflicts(plan: JointPlan, agent: int) -> None:
     Two agents conflict where they are on one cell, or swap cells on the way to timestep t.
     """
     cell, hit = plan.cell, plan.hit
-    for other in range(hit.size):
-        hit[other] = 0
+    hit[:] = 0
     for t in range(1, plan.path[agent].end + 1):
         here, before = cell[t, agent], cell[t - 1, agent]
         bit = np.int32(1 << t)  # of the width of `hit`, so that eight go into one instruction

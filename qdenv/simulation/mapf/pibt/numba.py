@@ -185,10 +185,8 @@ def push_along(
     The recursion of the paper is a chain that each agent leaves towards its pusher.
     """
     path, occupant, claimant = rollout.path, rollout.occupant, rollout.claimant
-    for agent in range(path.shape[0]):
-        path[agent, t + 1] = NOBODY
-        rollout.num_tried[agent], rollout.pusher[agent] = 0, NOBODY
-        rollout.partner[agent] = NOBODY
+    path[:, t + 1], rollout.num_tried[:] = NOBODY, 0
+    rollout.pusher[:], rollout.partner[:] = NOBODY, NOBODY
     for index in range(path.shape[0]):
         first = rollout.order[index] & AGENT
         agent = first if path[first, t + 1] == NOBODY else NOBODY

@@ -141,8 +141,7 @@ def find_path(
         else:
             _drive_on(work, reservations, fields, grid, agent, state, least, dearest)
     # From 0 on: where the fields are full costs mean nothing, and states may wait below this one.
-    for other in range(counts.top + 1):
-        work.first[other] = NO_STATE
+    work.first[: counts.top + 1] = NO_STATE
     if best == rules.INFEASIBLE:
         return False
     _trace(work, reservations, grid, agent, best ^ (agent.tie_break & rules.CODES))
