@@ -33,7 +33,8 @@ def draw(folders: Folders) -> Drawn:
             axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k needs less room
             axes.set_title(domain, fontsize="small")
             axes.legend(fontsize=7)
-    figure.supxlabel("(number of runs); stars: the paper's means at the end", fontsize=8)
+    note = "(number of runs); bands: 95 % intervals of means; stars: the paper's means at the end"
+    figure.supxlabel(note, fontsize=8)
     return Drawn(figure)
 
 
