@@ -40,7 +40,7 @@ def _library_of(values: Array) -> Any:
 
 
 def shift(values: Array, move: tuple[int, int], fill: object = 0) -> Array:
-    """Look a move (dr, dc) away: result[r, c] = values[r + dr, c + dc], `fill` outside [H, W]."""
+    """Look a move away in [H, W, ...]: result[r, c] = values[r + dr, c + dc], `fill` outside."""
     rows, cols = values.shape[:2]
     edges = [(1, 1)] * 2 + [(0, 0)] * (values.ndim - 2)
     padded = _library_of(values).pad(values, edges, constant_values=fill)

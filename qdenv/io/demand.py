@@ -40,7 +40,7 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
     does not fit the plan.
     """
     text = str(source)
-    if "=" in text and not os.path.isfile(text):
+    if "=" in text and not os.path.isfile(text):  # `Path.is_file` raises for a long text
         odds = np.ones(endpoints.shape)
         for zone in re.split(r"[\s;]+", text.strip()):
             place, sign, weight = zone.partition("=")
@@ -56,14 +56,15 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
     if not orders.lower().endswith(".csv"):
         raise InputError(f"{text!r} is no demand: {_FORM}")
     table = _cells(Path(orders))
+    lines = [line for line in table if any(line[1])]
     with about(orders):
-        if "row" in table[0][1] or "place" in table[0][1]:
-            return _spread(_count(table, places), endpoints)
+        if "row" in lines[0][1] or "place" in lines[0][1]:
+            return _spread(_count(lines, places), endpoints)
         if places:
             raise InputError("no column place in its first line, which a file of places is for")
         rows = [
             [_number(cell or "0", f"line {line}, column {col}") for col, cell in enumerate(cells)]
-            for line, cells in _cells(Path(orders), blank=True)
+            for line, cells in table
         ]
         widths, shape = {len(row) for row in rows}, endpoints.shape
         if (len(rows), *widths) != shape:
@@ -94,22 +95,22 @@ def _goals(path: str, shape: tuple[int, ...]) -> np.ndarray:
     return np.bincount(goals, minlength=shape[0] * shape[1]).reshape(shape).astype(float)
 
 
-def _cells(path: Path, blank: bool = False) -> list[tuple[int, list[str]]]:
-    """List the lines of a spreadsheet, `blank` ones only if stated: number, cells in lower case."""
+def _cells(path: Path) -> list[tuple[int, list[str]]]:
+    """List the lines of a spreadsheet that have cells: number, and cells in lower case."""
     table = split_cells(path, read_text(path, what="CSV").splitlines())
     lines = [
         (number, [cell.strip().lower() for cell in cells]) for number, cells in enumerate(table, 1)
     ]
     if not any(any(cells) for _, cells in lines):
         raise damaged(path, "the file is empty")
-    return [line for line in lines if any(line[1]) or (blank and len(line[1]) > 1)]
+    return [line for line in lines if len(line[1]) > 1 or any(line[1])]
 
 
 def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int], float]:
     """Count the order lines of each cell (row, column); a `file` may say where places are."""
     places: dict[str, tuple[int, int]] = {}
     if file:
-        (_, head), *lines = _cells(Path(file))
+        (_, head), *lines = (line for line in _cells(Path(file)) if any(line[1]))
         with about(file):
             name, *where = (_find(head, one) for one in ("place", "row", "column"))
             # A line may end before the name.
