@@ -93,7 +93,7 @@ def test_an_unknown_backend_is_refused():
     [
         (SERVICES, {}),
         (SERVICES, {"conflict_levels": 1, "remember": False, "lanes": 5, "penalties": (0.5, 3.0)}),
-        (PLAIN, {"conflict_levels": 4, "lookahead": 7, "rounds": 2.0}),
+        (PLAIN, {"conflict_levels": 4, "lookahead": 7, "rounds": 2.0, "penalties": (0.5, 1e6)}),
     ],
     ids=["services", "one level, no memory", "no services, seven steps ahead"],
 )

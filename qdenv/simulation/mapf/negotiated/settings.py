@@ -19,8 +19,8 @@ _MAX_CONFLICT_LEVELS = 4  # more would not fit into the code of a path's end
 
 COST_UNIT = 4  # costs are counted in quarters of a timestep
 MOVE_UNIT = 64  # where moves have costs: in units of which a move costs 64 on average
-# Where moves have costs: above what standing still through a window can cost, so that a larger
-# penalty hardly makes a difference.
+# Above what standing still through a window can cost, so that a larger penalty hardly makes a
+# difference, also where moves have costs; and those of a path fit beside the code of its end.
 _MAX_PENALTY = 1 << 14
 
 _LARGEST = 1_000_000  # of any number: more fits into no count of costs
@@ -74,9 +74,8 @@ class NegotiatedConfig(Ranged):
         Those are 1/4 of a timestep without, and where a world `has_costs` 1/64 of a move.
         """
         costs = np.array([round(COST_UNIT * penalty) for penalty in self.penalties], np.int32)
-        if has_costs:
-            costs = np.minimum(costs * (MOVE_UNIT // COST_UNIT), _MAX_PENALTY)
-        return costs
+        scale = MOVE_UNIT // COST_UNIT if has_costs else 1
+        return np.minimum(costs * scale, _MAX_PENALTY)
 
     def max_rounds(self, agents: Any) -> Any:
         """Return the most rounds (float32) of a number of `agents`, padding not counted.
