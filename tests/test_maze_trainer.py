@@ -99,6 +99,7 @@ def test_levels_of_many_sizes_keep_walls_and_horizon_in_proportion():
     assert ((low <= drawn.horizon) & (drawn.horizon <= 2 * low)).all()
     fixed = draw(keys[:20], replace(empty, smallest=0))
     assert ((np.asarray(fixed.kinds) != WALL).sum((1, 2)) == 81).all()
+    assert draw(keys, replace(config, horizon=(1, 3))).horizon.min() == 1
     with pytest.raises(InputError, match="in order"):
         replace(config, smallest=10)
 
