@@ -310,7 +310,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
 def test_the_mean_of_the_last_agents_is_kept_unless_the_last_solves_more(tmp_path, best):
     agents = [draw_weights(jax.random.key(seed), 4, 3) for seed in range(3)]
     for number, agent in enumerate(agents):
-        save_weights(agent, tmp_path / "agents" / f"{number:06}.npz")
+        save_weights(agent, tmp_path / "agents" / f"{999_998 + number:06}.npz")
     means = jax.tree.map(lambda one, other: (one + other) / 2, *agents[1:])
     expected = {"mean": means, "last": agents[2]}[best]
 

@@ -218,7 +218,8 @@ def choose(out: Path, average: int, examine: Examine) -> dict[str, float]:
     the last agent, and of the mean. Raises InputError if a file is damaged, or of an agent of
     another size.
     """
-    paths = sorted((out / "agents").glob("*.npz"))[-average:]
+    # By number: after a million updates names are longer.
+    paths = sorted((out / "agents").glob("*.npz"), key=lambda path: path.stem.zfill(19))[-average:]
     agents = [load_weights(path) for path in paths]
     for path, weights in zip(paths, agents, strict=True):
         if [part.shape for part in weights] != [part.shape for part in agents[0]]:
