@@ -110,7 +110,8 @@ class Environment:
         """Prepare layouts; `observe`, traceable, makes the observation of a state.
 
         With `auto_reset` the step that ends a run begins the next one, on the same layout. Raises
-        InputError if the fleet could not work on a layout, or a number is below one.
+        InputError if the fleet could not work on a layout, a number is below one, or tasks of the
+        `rule` arrive at a rate.
         """
         if agents < 1 or timesteps < 1:
             raise InputError("an environment needs at least one robot and one timestep")
