@@ -77,12 +77,6 @@ def longest_path(layout: Array) -> Course:
     return Course(start, goal.astype(jnp.int32), length)
 
 
-def is_solvable(layout: Array) -> jax.Array:
-    """Return True if two empty tiles touch (int8 [H, W] -> bool)."""
-    free = layout == EMPTY
-    return (free[1:] & free[:-1]).any() | (free[:, 1:] & free[:, :-1]).any()
-
-
 def canvas(layout: Array, goal: Array) -> jax.Array:
     """Surround a layout with walls and mark its goal: int8 [H + 8, W + 8] of view kinds."""
     kinds = jnp.asarray(layout).reshape(-1).at[goal].set(GOAL).reshape(layout.shape)
