@@ -4,6 +4,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -108,6 +109,7 @@ def _renew(
     return levels.insert(state.buffer, proposed, score, state.update, on_trial)
 
 
+@partial(jax.jit, static_argnums=1)
 def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Array]]:
     """Renew the buffer, play its levels, learn; traceable. Returns also numbers for the log."""
     on_trial = config.method != "dr"
@@ -162,9 +164,6 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
         "bank_score": buffer.score.mean(),
     }
     return State(weights, optimiser, envs, buffer, key, state.update + 1, anchor), log
-
-
-_update = jax.jit(update, static_argnums=1)
 
 
 def save_weights(weights: Weights, path: Path) -> None:
@@ -269,7 +268,7 @@ def train_agent(
         # The log shows the seconds of the whole run, those before an interruption too.
         began, logs = time.process_time() - used, []
         while int(state.update) < config.updates:
-            state, numbers = _update(state, config)
+            state, numbers = update(state, config)
             logs.append(numbers)
             done = int(state.update)
             progress(done, None)

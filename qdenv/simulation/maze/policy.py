@@ -193,9 +193,8 @@ def prepare(weights: Weights, layout: Array) -> Tables:
     pose, wins = jax.vmap(world.step, (None, 0, None))(
         kinds, world.Pose(place, heading), world.FORWARD
     )
-    moved = (pose.position != place)[:, None]
     strides = jnp.asarray(world.HEADINGS @ np.array([width, 1]), jnp.int32)
-    ahead = jnp.where(moved[:, 0], cell + strides[heading], cell) * 4 + heading
+    ahead = jnp.where(pose.position != place, cell + strides[heading], cell) * 4 + heading
     views = world.image(jax.vmap(world.view, (None, 0, 0))(kinds, place, heading))
     gates = encode(weights, views, jax.nn.one_hot(heading, 4))
     return Tables(jnp.asarray(layout), course, ahead, wins, gates)
