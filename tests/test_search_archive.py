@@ -62,8 +62,9 @@ def add(archive, objective, measures, success=True, **extras):
 )
 def test_every_integer_falls_where_pyribs_puts_it(axis):
     integers = np.arange(axis.low - 50, axis.high + 50, dtype=np.float32)[:, None]
-    got = jax.jit(blank(axis).cells_of)(integers)
-    np.testing.assert_array_equal(got, pyribs_cells(integers, (axis,)))
+    for dtype in (np.float32, np.int32):
+        got = jax.jit(blank(axis).cells_of)(integers.astype(dtype))
+        np.testing.assert_array_equal(got, pyribs_cells(integers, (axis,)))
 
 
 def test_random_measures_in_float32_fall_where_pyribs_puts_them():

@@ -149,6 +149,8 @@ class GridArchive(MapElitesRepertoire):
 
         Values outside an axis go to its first or last cell, NaN to the first.
         """
+        if not jnp.issubdtype(measures.dtype, jnp.floating):  # edges are no whole numbers
+            measures = measures.astype(self.descriptors.dtype)
         index = jnp.zeros(measures.shape[:-1], jnp.int32)
         for position, axis in enumerate(self.measures):
             values = measures[..., position]
