@@ -106,6 +106,8 @@ def test_what_is_no_plan_is_refused():
         rearrange(RearrangeConfig(), problem(around=None))
     with pytest.raises(InputError, match="generator direct"):
         rearrange(RearrangeConfig(), problem()._replace(encoding=None))
+    with pytest.raises(InputError, match=r"shifts and copies are 1.25 of the changes"):
+        RearrangeConfig(shifts=1)
 
 
 @pytest.mark.slow

@@ -194,6 +194,12 @@ class RearrangeConfig(Ranged):
     shifts: Share = 0.5  # of the changes, those that move the tiles of a rectangle on
     copies: Share = 0.25  # those that draw a rectangle once more; the others exchange two cells
 
+    def __post_init__(self) -> None:
+        """Raise InputError for values that do not go together."""
+        super().__post_init__()
+        if (both := self.shifts + self.copies) > 1 + 1e-9:  # 1 but for rounding
+            raise InputError(f"shifts and copies are {both:g} of the changes: give 1 at most")
+
 
 @dataclass(frozen=True)
 class DsageConfig(Ranged):
