@@ -134,6 +134,8 @@ MISTAKES = {
     ("--drop", "1.5"): "drop must be whole timesteps, not 1.5",
     ("--pick", "1001"): "pick must be at most 1000, not 1001",
     ("--shares", "i=0,o=0"): "shares must be above 0 for one kind of station or more",
+    ("--shares", "i=1e39,o=1"): "shares must be at most 1000000.0, not 1e+39",
+    ("--shares", "i=1e-9"): "shares must be at least 1e-06, not 1e-09",
     ("--demand", "0:7,0:10=0"): "the demand is 0 everywhere: no robot",
     ("--demand", "0:1,0:1=nan"): "'nan' is no weight",
     ("--demand", "none.csv"): "none.csv: cannot be read",

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from annotated_types import Interval
 
 from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig
@@ -23,6 +24,8 @@ from qdenv.simulation.mapf.goals import BY_SHELF, share_shelves, station_goal, t
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.types import Adjacency, Count, Goal, InputError, Measure, Rules, TaskRule, Tile, Traffic
 
+# How much likelier one goal is than another: sums of 32 bits hold no others.
+Odds = Annotated[float, Interval(ge=1e-6, le=1e6)]
 GENERATED = ".@e"
 _OBSTACLES = "@#"
 _TILES, _STATIONS = ".@ew#io", "wio"
@@ -80,8 +83,11 @@ class HallConfig(BuiltConfig):
             check_range("drop", time, Stay)
             if time != int(time):
                 raise InputError(f"drop must be whole timesteps, not {time:g}")
-        if self.shares and not any(_by_station(self.shares, "shares").values()):
+        shares = [share for share in _by_station(self.shares, "shares").values() if share]
+        if self.shares and not shares:
             raise InputError("shares must be above 0 for one kind of station or more")
+        for share in shares:
+            check_range("shares", share, Odds)
 
 
 def _by_station(text: str, name: str) -> dict[str, float]:

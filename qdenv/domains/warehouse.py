@@ -12,10 +12,9 @@ import numpy as np
 
 from qdenv.domains import designs
 from qdenv.domains.base import Domain, KnownSize, environment_entropy
-from qdenv.domains.hall import GENERATED, BuiltConfig, storage
+from qdenv.domains.hall import GENERATED, BuiltConfig, Odds, storage
 from qdenv.grid import inside_frame, parse
 from qdenv.lazy import jax, jnp
-from qdenv.ranges import PositiveFloat
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.settings import FleetConfig
@@ -58,7 +57,7 @@ class WarehouseConfig(BuiltConfig):
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     shelves: int = 240  # exact number of shelves, N_s in the paper
     # how much likelier a workstation on the left border is than one on the right
-    left_odds: PositiveFloat = 1.0
+    left_odds: Odds = 1.0
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class UnevenWarehouseConfig(WarehouseConfig):
     """The numbers of a warehouse whose left workstations are likelier (appendix B.1)."""
 
     # how much likelier a workstation on the left border is than one on the right
-    left_odds: PositiveFloat = 5.0
+    left_odds: Odds = 5.0
 
 
 def warehouse(config: WarehouseConfig) -> Domain:
