@@ -259,13 +259,14 @@ class Domain:
         """The numbers of tiles that the settings demand, by the settings' names."""
         return {name: getattr(self.config, name) for name in self.counted}
 
-    def resized(self, rows: int, cols: int, numbers: Mapping[str, int] | None = None) -> Domain:
+    def resized(self, rows: int, cols: int, numbers: Mapping[str, Any] | None = None) -> Domain:
         """Make the same domain at another size, `rows` x `cols` with the frame.
 
-        What the settings say of single cells stays only if the size is the same.
-        Numbers of tiles that `numbers` leaves out are the known ones of the size, or scale
-        with the generated area. Raises InputError for numbers that are not of this domain, or if
-        this domain's own size has no generated area.
+        What the settings say of single cells stays only if the size is the same. `numbers` are
+        numbers of tiles, as 1100 or "1000:1200", and `rule_settings`. Numbers of tiles that it
+        leaves out are the known ones of the size, or scale with the generated area. Raises
+        InputError for numbers that are not of this domain or no numbers, or if this domain's own
+        size has no generated area.
         """
         places = [one for one in ("keep", "around", "demand") if hasattr(self.config, one)]
         if getattr(self.config, "demand", ()) == BY_SHELF:  # which fits any size
@@ -278,7 +279,7 @@ class Domain:
         scaled = {name: round(one * empty.area / self.area) for name, one in self.numbers.items()}
         size = self.known_size(rows, cols)
         chosen = scaled | dict(size.numbers if size else {}) | dict(numbers or {})
-        for name in chosen.keys() - self.rule_settings:
+        for name in sorted(chosen.keys() - self.rule_settings):
             if name not in self.counted:
                 raise InputError(f"{self.name} has no number of {name}: leave --{name} out")
             low, high = read_range(name, number := chosen[name])
@@ -301,10 +302,10 @@ class Domain:
         """Return the known numbers of a size of `rows` and `cols`; None if they scale."""
         return None if (rows, cols) == self.shape else self.known.get((rows, cols))
 
-    def fitted(self, layout: np.ndarray, numbers: Mapping[str, int] | None = None) -> Domain:
+    def fitted(self, layout: np.ndarray, numbers: Mapping[str, Any] | None = None) -> Domain:
         """Make the same domain at the size of `layout` (int8 [H, W]), with its numbers of tiles.
 
-        `numbers` replace those that they name. Cells whose tiles have no other
+        `numbers`, as of `resized`, replace those that they name. Cells whose tiles have no other
         place (`stays`) stay as this layout has them, and doors do: gaps of up to four cells in a
         wall along the layout's edge. Unless the settings say of this size already what must stay.
         """
