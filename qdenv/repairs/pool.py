@@ -20,6 +20,7 @@ from qdenv.types import Array, Repair, RepairStatus, Rules
 
 _LOG = logging.getLogger(__name__)
 _WAITING_PER_WORKER = 64  # layouts that may queue before `submit` waits
+_REMEMBERED = 4096  # the last repairs
 
 
 class RepairPool(ExitStack):
@@ -30,8 +31,8 @@ class RepairPool(ExitStack):
     workers or what was repaired before.
     """
 
-    def __init__(self, rules: Rules, config: RepairConfig | None = None, remember: int = 4096):
-        """Start the threads; the last `remember` repairs are cached."""
+    def __init__(self, rules: Rules, config: RepairConfig | None = None):
+        """Start the threads."""
         super().__init__()
         self.rules, self.config = rules, config or RepairConfig()
         self.workers = self.config.workers or devices.count_cores()
@@ -40,7 +41,6 @@ class RepairPool(ExitStack):
         self._slots = threading.BoundedSemaphore(_WAITING_PER_WORKER * self.workers)
         self._lock, self._alone = threading.Lock(), threading.Lock()
         self._memo: OrderedDict[bytes, Future[Repair]] = OrderedDict()
-        self._remember = remember
 
     def submit(self, layout: np.ndarray, seed: int = 0) -> "Future[Repair]":
         """Queue one layout (int8 [H, W]); waits while the queue is full.
@@ -60,7 +60,7 @@ class RepairPool(ExitStack):
                 return _share(known)
             future = self._threads.submit(self._work, key, layout, int(seed))
             self._memo[key] = future
-            while len(self._memo) > self._remember:
+            while len(self._memo) > _REMEMBERED:
                 self._memo.popitem(last=False)
         future.add_done_callback(lambda done: self._slots.release())
         return future
