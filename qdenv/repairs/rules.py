@@ -34,8 +34,7 @@ class Facts:
         marks = [self.holding(bound.tiles) for bound in rules.counts]
         self.counting = np.array(marks, bool).reshape(-1, len(tiles))  # bool [Q, K]
         # int64 [Q, 2], the lowest and highest number of tiles that count in each bound
-        highest = [self.free.size if high is None else high for _, _, high in rules.counts]
-        pairs = [(bound.low, high) for bound, high in zip(rules.counts, highest, strict=True)]
+        pairs = [(low, self.free.size if high is None else high) for _, low, high in rules.counts]
         self.count_bounds = np.array(pairs, np.int64).reshape(-1, 2)
         groups: dict[tuple[bool, tuple[tuple[bool, bool], ...], bytes], list[int]] = {}
         for kind, tile in enumerate(tiles):
