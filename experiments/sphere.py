@@ -19,7 +19,7 @@ import numpy as np
 from experiments.program import run_program
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
-from qdenv.search.settings import Strategy
+from qdenv.search.settings import StrategyName
 from qdenv.stats import standard_error
 from qdenv.types import Array, Measure, Score
 from qdenv.view.archive import draw_archive
@@ -63,7 +63,7 @@ def main(
     iterations: int = 500,
     seeds: int = 1,
     dim: int = 100,
-    strategy: Strategy = "full",
+    strategy: StrategyName = "full",
     emitters: int = 15,
     batch: int = 36,
     picture: Path | None = None,

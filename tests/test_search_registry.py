@@ -15,7 +15,7 @@ from qdenv.search.archive import GridArchive, Insertion
 from qdenv.search.base import Algorithm, Problem
 from qdenv.search.cma_mae import cma_mae
 from qdenv.search.registry import ALGORITHMS, make_algorithm
-from qdenv.search.settings import UNSOUND, CmaMaeConfig, CmaMeConfig, Strategy
+from qdenv.search.settings import UNSOUND, CmaMaeConfig, CmaMeConfig, StrategyName
 from qdenv.search.strategies import STRATEGIES
 from qdenv.search.strategies.cma_es import Isotropic
 from qdenv.types import InputError
@@ -60,7 +60,7 @@ def test_a_users_algorithm_plugs_in_by_name(monkeypatch):
 
 
 def test_the_command_line_knows_every_strategy_and_none_that_is_unsound():
-    assert set(get_args(get_args(Strategy)[0])) == set(STRATEGIES)
+    assert set(get_args(get_args(StrategyName)[0])) == set(STRATEGIES)
     for name, reason in UNSOUND.items():
         assert name not in STRATEGIES
         assert set(reason.partition("; use ")[2].split(" or ")) <= set(STRATEGIES)

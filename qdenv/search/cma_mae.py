@@ -35,8 +35,7 @@ from qdenv.types import Array, InputError, Score, look_up
 _FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
 
 # A ranker turns (insertion, objective) into sort keys, the most important first.
-Ranker = Callable[[Insertion, Array], tuple[Array, ...]]
-RANKERS: dict[str, Ranker] = {
+RANKERS: dict[str, Callable[[Insertion, Array], tuple[Array, ...]]] = {
     "imp": lambda insertion, objective: (insertion.value,),
     "2imp": lambda insertion, objective: (insertion.status, insertion.value),
     "obj": lambda insertion, objective: (objective,),
@@ -44,15 +43,14 @@ RANKERS: dict[str, Ranker] = {
 }
 
 # A selection gives the number of parents from (accepted, successes), both int32, and b.
-Selection = Callable[[jax.Array, jax.Array, int], jax.Array]
-SELECTIONS: dict[str, Selection] = {
+SELECTIONS: dict[str, Callable[[jax.Array, jax.Array, int], jax.Array]] = {
     "mu": lambda accepted, successes, batch: jnp.minimum(batch // 2, successes),
     "filter": lambda accepted, successes, batch: accepted,
 }
 
 # A batch as emitters learn from it: (solutions float [E * b, P], `Score` [E * b], how the learning
 # archive received them). Rows whose score is no success have failed.
-Scored = tuple[jax.Array, Score, Insertion]
+_Scored = tuple[jax.Array, Score, Insertion]
 
 
 class EmittersState(NamedTuple):
@@ -71,7 +69,7 @@ class Emitters(NamedTuple):
     # (state, key) -> (solutions float [E * b, P], state); consumes the key
     ask: Callable[[Any, jax.Array], tuple[jax.Array, Any]]
     # (state, key, rows, archive that holds them already) -> state; consumes the key
-    tell: Callable[[Any, jax.Array, Scored, Any], Any]
+    tell: Callable[[Any, jax.Array, _Scored, Any], Any]
 
 
 def rank(keys: tuple[Array, ...], usable: Array) -> jax.Array:
@@ -192,7 +190,7 @@ def make_emitters(config: CmaMaeConfig, start: jax.Array) -> Emitters:
         chex.assert_shape(solutions, (emitters, batch, start.shape[0]))
         return solutions.reshape(emitters * batch, -1), state._replace(strategy=states, keys=keys)
 
-    def adapt(state: Any, key: Any, rows: Scored) -> tuple[Any, jax.Array, jax.Array]:
+    def adapt(state: Any, key: Any, rows: _Scored) -> tuple[Any, jax.Array, jax.Array]:
         """Adapt one emitter to its b rows: (state, accepted rows int32, must restart bool)."""
         solutions, score, insertion = rows
         keys = ranker(insertion, score.objective)
@@ -207,7 +205,7 @@ def make_emitters(config: CmaMaeConfig, start: jax.Array) -> Emitters:
         return state, accepted, is_degenerate(state) | is_flat(keys, order, successes)
 
     def tell(
-        state: EmittersState, key: jax.Array, rows: Scored, archive: GridArchive | StoredArchive
+        state: EmittersState, key: jax.Array, rows: _Scored, archive: GridArchive | StoredArchive
     ) -> EmittersState:
         chex.assert_shape(rows[0], (emitters * batch, start.shape[0]))
         rows = jax.tree.map(lambda leaf: leaf.reshape(emitters, batch, *leaf.shape[1:]), rows)
@@ -255,7 +253,7 @@ def _make_groups(emitters: Emitters, groups: int) -> Emitters:
         states = jax.tree.map(lambda leaf, one: leaf.at[index].set(one), states, group)
         return solutions, (states, drawn + 1, scored)
 
-    def tell(state: tuple, key: jax.Array, rows: Scored, archive: Any) -> tuple:
+    def tell(state: tuple, key: jax.Array, rows: _Scored, archive: Any) -> tuple:
         states, drawn, scored = state
         index = scored % groups
         group = jax.tree.map(lambda leaf: leaf[index], states)

@@ -21,7 +21,7 @@ from qdenv.types import InputError
 
 # Names of `strategies.STRATEGIES`, which a user may add to, of `cma_mae.RANKERS` and of
 # `cma_mae.SELECTIONS`, repeated so that a command line has them without importing jax.
-Strategy = Annotated[Literal[
+StrategyName = Annotated[Literal[
     "iso", "sep", "full", "lm_ma",
     "CMA_ES", "CR_FM_NES", "DiscoveredES", "Open_ES", "PGPE", "SimpleES", "SNES",
 ], OPEN]  # fmt: skip
@@ -61,7 +61,7 @@ def check_rates(learning_rate: float, threshold_min: float) -> None:
         raise InputError("threshold_min = -inf needs an archive learning rate of 1")
 
 
-Ahead = Annotated[int, Interval(ge=0, le=1000)]  # no cluster needs more than the upper limit
+_Ahead = Annotated[int, Interval(ge=0, le=1000)]  # no cluster needs more than the upper limit
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,10 @@ class CmaMaeConfig(Ranged):
     restart: Literal["no_improvement", "basic"] | PositiveInt = "no_improvement"
     # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
     # limited-memory form (lm_ma), or one of evosax's
-    strategy: Strategy = "iso"
+    strategy: StrategyName = "iso"
     # populations drawn before the scores of the previous one are known, for many workers: the
     # emitters become ahead + 1 groups that take turns
-    ahead: Ahead = 0
+    ahead: _Ahead = 0
 
     def __post_init__(self) -> None:
         """Raise InputError for values that do not go together."""
@@ -136,7 +136,7 @@ class MapElitesConfig(Ranged):
     learning_rate: Share = 1.0
     threshold_min: float = -math.inf  # threshold of an empty cell of the parents' archive
     # populations drawn before the scores of the previous one are known, for many workers
-    ahead: Ahead = 0
+    ahead: _Ahead = 0
 
     def __post_init__(self) -> None:
         """Raise InputError for values that do not go together."""
@@ -162,10 +162,10 @@ class CmaEsConfig(Ranged):
     # how each emitter adapts: isotropic (iso), separable (sep), the full matrix (full), its
     # limited-memory form (lm_ma), or one of evosax's, of which CMA_ES decomposes its full matrix at
     # every step: for some hundreds of parameters at most
-    strategy: Strategy = "iso"
+    strategy: StrategyName = "iso"
     # populations drawn before the scores of the previous one are known, for many workers: the
     # emitters become ahead + 1 groups that take turns
-    ahead: Ahead = 0
+    ahead: _Ahead = 0
 
     def __post_init__(self) -> None:
         """Raise InputError for values that do not go together."""
@@ -180,7 +180,7 @@ class RandomSearchConfig(Ranged):
     batch: PositiveInt = 50  # solutions per iteration
     sigma: PositiveFloat = 0.2  # standard deviation of every parameter
     # populations drawn before the scores of the previous one are known, for many workers
-    ahead: Ahead = 0
+    ahead: _Ahead = 0
 
 
 @dataclass(frozen=True)

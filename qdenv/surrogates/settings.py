@@ -5,8 +5,6 @@ from typing import Literal
 
 from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, Ranged
 
-UsageLoss = Literal["kl", "mse"]
-
 
 @dataclass(frozen=True)
 class SurrogateConfig(Ranged):
@@ -20,7 +18,7 @@ class SurrogateConfig(Ranged):
     samples: PositiveInt = 20_000  # the newest true evaluations, to learn from
     rate: PositiveFloat = 1e-3  # learning rate of Adam
     # of the predicted tile usage: kl, of distributions, or mse, of numbers
-    usage_loss: UsageLoss = "kl"
+    usage_loss: Literal["kl", "mse"] = "kl"
     # learn objective and measures in units of their own spread; otherwise in their own units, as
     # published, where the measure with the largest numbers decides
     standardise: bool = True

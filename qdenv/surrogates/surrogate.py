@@ -69,7 +69,7 @@ class Ring(NamedTuple):
         return self._replace(samples=samples, added=self.added + valid.sum(dtype=jnp.int32))
 
 
-def spread_of(numbers: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _spread_of(numbers: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Compute mean and variance (float32 [heads]) of the `valid` rows (bool [N]) of [N, heads].
 
     Both are zeros where no row is valid.
@@ -288,7 +288,7 @@ def _scale(ring: Ring) -> tuple[jax.Array, jax.Array]:
     The deviation of a number that never varies is 1.
     """
     numbers, known = ring.samples.numbers, jnp.arange(len(ring.samples.numbers)) < ring.known
-    centre, variance = spread_of(numbers, known)
+    centre, variance = _spread_of(numbers, known)
     return centre, jnp.where(variance > 0, jnp.sqrt(variance), 1.0)
 
 
@@ -299,6 +299,6 @@ def errors(predicted: jax.Array, truth: jax.Array, valid: jax.Array) -> tuple[ja
     """
     counts = valid[:, None]
     squared = jnp.mean(jnp.square(predicted - truth), axis=0, where=counts)
-    variance = spread_of(truth, valid)[1]
+    variance = _spread_of(truth, valid)[1]
     share = jnp.where(variance > 0, 1 - squared / jnp.where(variance > 0, variance, 1), 0.0)
     return jnp.sqrt(squared), share

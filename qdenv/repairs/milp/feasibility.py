@@ -31,16 +31,17 @@ _TOLERANCE = 1e-3  # of the greatest number that a relaxation has room for
 _STARTS = 8  # regular layouts to search a layout from
 _MOVES_PER_CELL = 560  # of such a search
 
-# A status and a layout: `ANNEALED` with one (int8 [H, W]) that obeys every rule, `IMPOSSIBLE` where
-# none exists, else `FAILED`.
-Existence = tuple[RepairStatus, np.ndarray | None]
-
-_answers: OrderedDict[bytes, Existence] = OrderedDict()
+_answers: OrderedDict[bytes, tuple[RepairStatus, np.ndarray | None]] = OrderedDict()
 _lock = threading.Lock()
 
 
-def find_possible(facts: Facts, progress: Progress = silent) -> Existence:
-    """Find a layout that obeys the rules, or prove that there is none; both may fail."""
+def find_possible(
+    facts: Facts, progress: Progress = silent
+) -> tuple[RepairStatus, np.ndarray | None]:
+    """Find a layout that obeys the rules, or prove that there is none; both may fail.
+
+    Returns `ANNEALED` and a layout (int8 [H, W]), `IMPOSSIBLE` where none exists, else `FAILED`.
+    """
     # Cached by the content of the rules, costs left out: a batch pays for it once.
     rules = facts.rules
     texts = (rules.tiles, rules.counts, rules.adjacency, rules.connected, rules.covers)
@@ -76,7 +77,7 @@ def explain(rules: Rules, progress: Progress = silent) -> str | None:
     return "the rules exclude one another, as an integer program shows"
 
 
-def _decide(facts: Facts, progress: Progress) -> Existence:
+def _decide(facts: Facts, progress: Progress) -> tuple[RepairStatus, np.ndarray | None]:
     """Anneal, where that is fast, then try the relaxation, then the solver or the packer."""
     if facts.free_cells > highs.MAX_CELLS:
         return RepairStatus.FAILED, None

@@ -16,7 +16,7 @@ import numpy as np
 from qdenv.grid import MOVES, shift
 from qdenv.repairs.rules import Facts
 
-Term = tuple[int, float]  # a column and its coefficient
+_Term = tuple[int, float]  # a column and its coefficient
 
 
 class Cells(NamedTuple):
@@ -90,7 +90,7 @@ def total(
     constant: np.ndarray,
     low: float,
     high: float,
-    extra: Sequence[Term] = (),
+    extra: Sequence[_Term] = (),
 ) -> Constraints:
     """Bound a sum over all cells: of coefficients [H, W, R], constants [H, W] and extra terms."""
     columns = np.append(cells.columns.ravel(), [column for column, _ in extra]).astype(int)
@@ -166,9 +166,9 @@ def _counts(
         if members[0] not in retypes:
             continue
         may = facts.rules.allowed[..., members]
-        left, left_terms = np.ones(layout.shape), list[Term]()
+        left, left_terms = np.ones(layout.shape), list[_Term]()
         # Sums over the cells with this role, which are 0 or more: weights, extra terms, limit.
-        sums = list[tuple[np.ndarray, list[Term], float]]()
+        sums = list[tuple[np.ndarray, list[_Term], float]]()
         for place, kind in enumerate(members):
             # The amount of a kind is staying + gained - lost.
             (gained, lost), staying = retypes[kind], 1.0 * (kept & (layout == kind))
@@ -191,7 +191,7 @@ def _counts(
     for bound, counting in zip(facts.rules.counts, facts.counting, strict=True):
         whole = facts.roles_of(bound.tiles)
         values, constant = cells.express(whole)
-        extra = list[Term]()
+        extra = list[_Term]()
         for kind in np.flatnonzero(counting & ~whole[facts.role_of]).tolist():
             hold, holds = cells.express(np.arange(whole.size) == facts.role_of[kind])
             staying = kept & (layout == kind)

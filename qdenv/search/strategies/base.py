@@ -38,7 +38,7 @@ class Rates(NamedTuple):
 
 
 # (mu_eff, P) -> c_c, c_1, c_mu.
-CovarianceRates = Callable[[float, int], tuple[float, float, float]]
+_CovarianceRates = Callable[[float, int], tuple[float, float, float]]
 
 
 def full_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
@@ -61,7 +61,7 @@ def separable_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
     return cov_path, rank_one, rank_mu
 
 
-def rates_row(parents: int, batch: int, dim: int, covariance_rates: CovarianceRates) -> Rates:
+def rates_row(parents: int, batch: int, dim: int, covariance_rates: _CovarianceRates) -> Rates:
     """Compute the parameters for one number of parents (float64)."""
     if parents == 0:
         return Rates(np.eye(1, batch)[0], *map(np.asarray, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
@@ -77,7 +77,7 @@ def rates_row(parents: int, batch: int, dim: int, covariance_rates: CovarianceRa
     return Rates(weights, *map(np.asarray, numbers))
 
 
-def rates_table(batch: int, dim: int, covariance_rates: CovarianceRates) -> Rates:
+def rates_table(batch: int, dim: int, covariance_rates: _CovarianceRates) -> Rates:
     """Tabulate the parameters for 0..batch parents; every field gets a leading axis [b + 1]."""
     # The number of parents is known only while tracing: all rows in float64 now, one picked then.
     rows = [rates_row(parents, batch, dim, covariance_rates) for parents in range(batch + 1)]
@@ -124,7 +124,7 @@ class Strategy(DistributionBasedAlgorithm):
     """
 
     state_type: type = StrategyState
-    covariance_rates: CovarianceRates = staticmethod(full_rates)
+    covariance_rates: _CovarianceRates = staticmethod(full_rates)
     smallest_step = SMALLEST_STEP
 
     def __init__(self, population_size: int, solution: Any, **settings: Any) -> None:
