@@ -56,6 +56,7 @@ def test_tiles_alike_share_a_role():
         [2],
         [3],
     ]
+    assert Facts(mixed_rules().buildable(rack=(2, 2), of="0")).roles == [[0], [1], [2, 3], [4]]
 
 
 def test_facts_follow_from_the_rules():

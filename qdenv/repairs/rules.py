@@ -3,6 +3,8 @@
 Only the audit derives its own tables, on purpose: it has to catch a mistake that is made here.
 """
 
+from itertools import chain
+
 import numpy as np
 
 from qdenv.grid import count_neighbours
@@ -16,8 +18,8 @@ class Facts:
     """What follows from `rules`, in tables over `K` tiles, `Q` counts and `R` roles.
 
     A *driving* tile is one of the connected group: its cells form the driving area. Tiles that no
-    adjacency, connectivity or placement rule tells apart share a *role*: three kinds of station
-    differ in counts and in cost only.
+    rule but counts tells apart share a *role*: three kinds of station differ in counts and in cost
+    only.
     """
 
     def __init__(self, rules: Rules) -> None:
@@ -36,11 +38,15 @@ class Facts:
         # int64 [Q, 2], the lowest and highest number of tiles that count in each bound
         pairs = [(low, self.free.size if high is None else high) for _, low, high in rules.counts]
         self.count_bounds = np.array(pairs, np.int64).reshape(-1, 2)
-        groups: dict[tuple[bool, tuple[tuple[bool, bool], ...], bytes], list[int]] = {}
+        # The symbols that each rule but counts is on.
+        named = [rules.connected, *chain(*rules.adjacency)]
+        named += chain(*((rule.tiles, rule.ends) for rule in rules.covers))
+        named += [rules.straight.tiles] if rules.straight else []
+        groups: dict[tuple[tuple[bool, ...], bytes], list[int]] = {}
         for kind, tile in enumerate(tiles):
-            demands = tuple((tile in rule.tiles, tile in rule.needs) for rule in rules.adjacency)
             places = allowed[..., kind][self.free].tobytes()
-            groups.setdefault((bool(self.driving[kind]), demands, places), []).append(kind)
+            ruled = tuple(tile in symbols for symbols in named)
+            groups.setdefault((ruled, places), []).append(kind)
         self.roles = list(groups.values())  # the tiles of each role, in the alphabet's order
         self.role_of = np.zeros(len(tiles), np.int64)  # int64 [K]
         for role, members in enumerate(self.roles):
