@@ -33,6 +33,8 @@ class Facts:
         # of each tile the adjacency demands: the tiles one of which must be a neighbour
         self.needs = [[rule.needs for rule in rules.adjacency if t in rule.tiles] for t in tiles]
         self.demands = np.array([len(needs) for needs in self.needs])  # int64 [K], how many
+        # the adjacency demands that only driving cells meet
+        self.services = [one for one in rules.adjacency if set(one.needs) <= set(rules.connected)]
         marks = [self.holding(bound.tiles) for bound in rules.counts]
         self.counting = np.array(marks, bool).reshape(-1, len(tiles))  # bool [Q, K]
         # int64 [Q, 2], the lowest and highest number of tiles that count in each bound
@@ -229,8 +231,7 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
         # hangs together has 4c sides and spends 2 (c - 1) of them on itself, and one more where
         # something else joins it to the other parts: each part serves at most 2c + 1 obstacles
         # (2c + 2 when it is alone).
-        needs = [rule.needs for rule in rules.adjacency if set(bound.tiles) <= set(rule.tiles)]
-        needs = [need for need in needs if set(need) <= set(rules.connected)]
+        needs = [rule.needs for rule in facts.services if set(bound.tiles) <= set(rule.tiles)]
         if not needs or set(bound.tiles) & set(rules.connected):
             continue
         groups = (needs[0], bound.tiles, rules.connected)
@@ -279,8 +280,7 @@ def _impossible_covers(facts: Facts) -> str | None:
                 # A connected union of squares of a x a cells has at most (4 a - 2) / a^2
                 # sides for each of its cells, and two more: squares that share one side each. A
                 # cell without room for a square adds at most two sides. Each obstacle takes one.
-                needs = [need for held, need in rules.adjacency if set(tiles) <= set(held)]
-                if not any(set(need) <= set(rules.connected) for need in needs):
+                if not any(set(tiles) <= set(rule.tiles) for rule in facts.services):
                     continue
                 ratio = (4 * rows - 2) / rows**2
                 holds, narrow = facts.may(tiles), int((facts.may(rule.tiles) & ~room).sum())

@@ -246,8 +246,7 @@ def pack(facts: Facts, progress: Progress = silent) -> np.ndarray | None:
     if not rules.connected or rules.covers or len(rules.counts) != 1 or len(demands) != 1:
         return None
     (service,), (count,) = demands, rules.counts
-    served = set(service.needs) <= set(rules.connected)
-    if not served or not set(service.tiles) == obstacles == set(count.tiles):
+    if service not in facts.services or not set(service.tiles) == obstacles == set(count.tiles):
         return None
     if not 0 < facts.free_cells <= _MAX_CELLS:
         return None

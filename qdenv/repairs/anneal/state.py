@@ -70,9 +70,8 @@ class Board(NamedTuple):
     # int64 [Q, 2], lowest and highest number of tiles that count in bound q
     count_bounds: np.ndarray
     steps: np.ndarray  # int64 [8], from a cell to its places
-    demand_weight: (
-        int  # how many missing tiles weigh as much as a tile without a neighbour it needs
-    )
+    # how many missing tiles weigh as much as a tile without a neighbour it needs
+    demand_weight: int
     connected: bool  # whether the driving area must be one piece
     # of four partners in a move that would leave their input tile, how many may
     leave_quarters: int

@@ -157,8 +157,8 @@ def _surround(program: Program, facts: Facts) -> tuple[int, list[Constraints]]:
     rule = rules.covers[facts.widens.index(True)]
     served = "".join(
         tile
-        for tile, needs in zip(rules.tiles, facts.needs, strict=True)
-        if tile not in rules.connected and any(set(need) <= set(rules.connected) for need in needs)
+        for tile in rules.tiles
+        if tile not in rules.connected and any(tile in rule.tiles for rule in facts.services)
     )
     may, columns = facts.may(rules.connected), program.cells.columns
     walls = ~may & ~facts.may(served) & (count_neighbours(may) > 0)
@@ -231,12 +231,8 @@ def _span(program: Program, facts: Facts) -> tuple[int, list[Constraints]]:
     # The direction of a side, as seen from its end: no two sides share it and the end.
     towards = np.repeat([0, 1], [right.size, below.size])[pair]
     towards = np.concatenate([towards, towards + 2])
-    # The rules by which driving cells serve obstacles.
-    services = [
-        rule
-        for rule in facts.rules.adjacency
-        if not set(rule.tiles) & set(connected) and set(rule.needs) <= set(connected)
-    ]
+    # Those of obstacles.
+    services = [rule for rule in facts.services if not set(rule.tiles) & set(connected)]
     for place, rule in enumerate(services):
         # Every obstacle is served over a side, which is no edge of the tree then.
         used = first + count * (1 + 2 * place) + np.arange(2 * count)
