@@ -79,6 +79,20 @@ def test_what_is_no_demand_is_refused_in_a_line(source, tmp_path):
         read_demand(read, ENDPOINTS)
 
 
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ('{"weights": [1], "tasks": [[0]]}', "goals on a map of 0 x 0, the plan has 4 x 5"),
+        ('{"layout": [".....", ".....", ".....", "..."], "tasks": [[-5]]}', "a goal is no cell"),
+        ('{"layout": [".....", ".....", ".....", "....."], "tasks": [[20]]}', "the map, 0 to 19"),
+    ],
+)
+def test_goals_lie_on_the_map_of_the_plan(content, message, tmp_path):
+    (tmp_path / "goals.json").write_text(content)
+    with pytest.raises(InputError, match=message):
+        read_demand(tmp_path / "goals.json", ENDPOINTS)
+
+
 def test_odds_are_written_and_read_back():
     odds = np.array([[0.25, 1e-3, 12345], [0, 1, 1 / 3]])
     everywhere = Goal(lambda layout: np.ones(layout.shape, np.float32))

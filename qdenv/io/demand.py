@@ -88,10 +88,12 @@ def _goals(path: str, shape: tuple[int, ...]) -> np.ndarray:
     goals = np.array([cell for task in drawing.tasks for cell in task], int)
     if not goals.size:
         raise InputError(f"{path}: the file holds no goals of robots")
-    theirs = (len(drawing.rows), len(drawing.rows[0]))
+    theirs = (len(drawing.rows), max(map(len, drawing.rows), default=0))
     if theirs != shape:
         sizes = "{} x {}, the plan has {} x {}".format(*theirs, *shape)
         raise InputError(f"{path}: goals on a map of {sizes}")
+    if not 0 <= goals.min() <= goals.max() < shape[0] * shape[1]:
+        raise damaged(path, f"a goal is no cell of the map, 0 to {shape[0] * shape[1] - 1}")
     return np.bincount(goals, minlength=shape[0] * shape[1]).reshape(shape).astype(float)
 
 
