@@ -1,6 +1,7 @@
 """Formats of other programs: read, written, read back; what is left out is named."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -42,9 +43,9 @@ def convert(*words):
 
 def same(path, other, form=None, **changes):
     """Compare two files, as commands read them, and what is beside the tiles."""
-    one, two = read_plan(path), read_plan(other, form=form)
-    assert one.layout.tolist() == two.layout.tolist()
     drawings = read_drawing(path), read_drawing(other, form)
+    one, two = read_plan(path), read_plan(other, drawing=drawings[1])
+    assert one.layout.tolist() == two.layout.tolist()
     for name in {"weights", "starts", "tasks", "details"} - {*changes}:
         assert getattr(drawings[0], name) == getattr(drawings[1], name), name
     for name, value in changes.items():
@@ -126,6 +127,15 @@ def test_what_a_map_of_the_league_cannot_say_is_named(tmp_path, capsys):
         line = f"lorr: what some cells are ({lost}) is left out\n"
         assert (line in capsys.readouterr().out) == bool(lost)
         assert (read_drawing(tmp_path / "a.map").rows == rows.split()) == (not lost)
+
+
+def test_a_layout_may_come_through_a_pipe(tmp_path):
+    reading, writing = os.pipe()
+    os.write(writing, "\n".join(ROWS).encode())
+    os.close(writing)
+    convert(f"/dev/fd/{reading}", tmp_path / "plan.json", "--input-format", "text")
+    os.close(reading)
+    assert read_drawing(tmp_path / "plan.json").rows == ROWS
 
 
 def test_python_converts_an_array_without_a_file(tmp_path):

@@ -54,14 +54,16 @@ def convert(
     """
     name = args.name_of(layout)
     if isinstance(layout, str | Path):
-        drawing, plan = read_drawing(layout, input_format), read_plan(layout, domain, input_format)
+        drawing = read_drawing(layout, input_format)  # once: it may be a pipe
+        plan = read_plan(layout, domain, drawing)
     else:
         drawing, plan = Drawing([]), args.read_plan(layout, domain)
     chosen = find_writer(Path(target), format)
-    written = place(target, "", (Path(target).suffix.lower(),), [layout])
+    inputs = [layout, guidance]
+    written = place(target, "", (Path(target).suffix.lower(),), inputs)
     assert written is not None
     for ending in FORMATS[chosen].beside:  # they must not overwrite what is read either
-        place(written.path.with_suffix(ending), "", (ending,), [layout])
+        place(written.path.with_suffix(ending), "", (ending,), inputs)
     plan, found = guide(plan, guidance), plan.domain
     check_size(*plan.layout.shape)
     stated = {} if plan.assumed else {"domain": found.name}

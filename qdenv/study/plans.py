@@ -14,7 +14,7 @@ from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.demand import demand_in, read_demand
 from qdenv.io.facts import FACTS, PlanFacts, make_facts
 from qdenv.io.guidance import costs_of
-from qdenv.io.layouts import ENDINGS, aliases, read_drawing, to_layout
+from qdenv.io.layouts import ENDINGS, Drawing, aliases, read_drawing, to_layout
 from qdenv.io.records import structured
 from qdenv.lazy import ndimage
 from qdenv.simulation.mapf.goals import BY_SHELF, rows_of_odds, task_odds
@@ -79,14 +79,14 @@ class Plan(NamedTuple):
         return domain if keep is None else keep_from(keep, domain, self.layout)
 
 
-def read_plan(path: str | Path, domain: str | None = None, form: str | None = None) -> Plan:
-    """Read a layout in any format, or in that of the name `form`, and find its domain.
+def read_plan(path: str | Path, domain: str | None = None, drawing: Drawing | None = None) -> Plan:
+    """Read a layout in any format, unless its `drawing` is read already, and find its domain.
 
     Unless `domain` names it: what the file says, else a hall where its tiles fit and are more than
     floor and walls, else the first one whose tiles do. Raises InputError if the file holds no
     layout, or says that it is another domain's.
     """
-    rows, stated, keep, weights, details, *_ = read_drawing(path, form)
+    rows, stated, keep, weights, details, *_ = drawing or read_drawing(path)
     if not rows and weights is not None:
         raise InputError(f"{path}: costs of moves without a layout: give it as --guidance")
     if stated and domain and stated != domain and stated in DOMAINS.names():
