@@ -93,8 +93,16 @@ def test_a_folder_of_other_settings_or_files_is_refused(done, plan):
     _, folder = done
     with pytest.raises(InputError, match="other settings"):
         qdenv.improve(plan, path=folder, evaluations=129, **QUICK)
+    with pytest.raises(InputError, match="holds another plan"):
+        qdenv.improve(plan, path=folder, evaluations=128, guidance="crisscross", **QUICK)
     with pytest.raises(InputError, match="something else"):
         qdenv.improve(plan, path=plan.parent, evaluations=128, **QUICK)
+
+
+def test_costs_of_moves_that_are_stated_by_name_are_part_of_the_plan(plan, tmp_path, monkeypatch):
+    monkeypatch.setattr(studies, "SECTIONS", {})
+    qdenv.improve(plan, path=tmp_path / "lanes", evaluations=1, guidance="crisscross", **QUICK)
+    assert qdenv.read_plan(tmp_path / "lanes" / "plan.json").costs is not None
 
 
 @pytest.mark.parametrize(

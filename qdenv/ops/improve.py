@@ -16,7 +16,7 @@ from qdenv.domains.hall import GENERATED, BuiltConfig
 from qdenv.interrupt import advise
 from qdenv.io.files import damaged, locked, write_csv, write_json
 from qdenv.io.formats import holds
-from qdenv.io.layouts import ENDINGS, write_layout
+from qdenv.io.layouts import ENDINGS
 from qdenv.io.records import read_json, structured, unstructured
 from qdenv.ops import options as args
 from qdenv.ops.output import Layout, Table, format_table, say
@@ -109,27 +109,26 @@ def improve(
         **numbers,
     )
     folder = Path(path) if path else Path("runs") / f"improve-{plan.name}-{agents}"
+    _begin(folder, plan, config)
     planner = describe_planner(options.planner)
     say(*filter(None, [note]), f"{agents} robots, {timesteps} timesteps; planner: {planner}")
-    _begin(folder, plan, config)
     return improve_folder(folder, progress, execution)
 
 
 def _begin(folder: Path, plan: Plan, config: Any) -> None:
     """Write plan and settings into a new folder, or check that an old one holds the same."""
-    content, domain = unstructured(config, _CHOICES) | {"name": plan.name}, plan.domain
     if (folder / SETTINGS).exists():
         # Compared as settings, not as text: what an earlier version lacked has its default.
         same = _read_settings(folder) == (plan.name, config)
-        if not same or not np.array_equal(read_file(folder / PLAN).layout, plan.layout):
+        parts: Any = zip(read_file(folder / PLAN).floor, plan.floor, strict=True)
+        if not same or not all(np.array_equal(*pair) for pair in parts):
             raise InputError(f"{folder}: holds another plan or other settings: name a new --out")
         return
     RunDirectory(folder).demand_own()
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: holds something else: name a new folder with --out")
-    named = {"domain": domain.name, **plan.facts.details}
-    write_layout(folder / PLAN, plan.layout, domain.tiles, domain.meanings, plan.costs, **named)
-    write_json(folder / SETTINGS, content)
+    Layout(plan.layout, plan.domain, plan.facts.details, costs=plan.costs).save(folder / PLAN)
+    write_json(folder / SETTINGS, unstructured(config, _CHOICES) | {"name": plan.name})
 
 
 def _read_settings(folder: Path) -> tuple[str, Any]:
