@@ -103,6 +103,16 @@ def test_repair_and_check_take_numbers_by_name(path):
         qdenv.repair(path, shelves=70)
 
 
+def test_a_plan_is_named_in_refusals_and_gives_the_settings_of_its_domain(path):
+    with pytest.raises(InputError, match=r"^plan: a layout of warehouse-uneven"):
+        qdenv.evaluate_agent(qdenv.read_plan(path))
+    with pytest.raises(InputError, match="domain: with a plan give a name"):
+        qdenv.train("quick", plan=path, domain=ManufacturingConfig())
+    for none in ((), []):
+        with pytest.raises(InputError, match="name each planner once"):
+            qdenv.compare([path], 2, planner=none)
+
+
 def test_compare_names_equal_names_apart(path):
     table = qdenv.compare([path, PLAN], agents=[2, 4], domain="warehouse-uneven", **PIBT)
     assert [(row.layout, row.agents) for row in table] == [
@@ -130,6 +140,8 @@ def test_an_environment_is_made_by_a_files_name(path):
     assert timestep.observation.position.shape == (5,) and environment.actions == 5
     both = qdenv.make_environment([path, PLAN], agents=5, domain="warehouse-uneven")
     assert both.layout.shape == (2, *PLAN.shape) and (both.layout[0] == both.layout[1]).all()
+    with pytest.raises(InputError, match="an array does not say"):
+        qdenv.make_environment([])
     with pytest.raises(InputError, match="one size"):
         qdenv.make_environment([path, PLAN[1:]], domain="warehouse-uneven")
     with pytest.raises(InputError, match="no fleet drives"):

@@ -382,7 +382,7 @@ def make_environment(
     from qdenv.simulation.mapf.environment import Environment, observe_plainly  # imports jax
 
     one: Any = layout  # a list of lists is a layout, too
-    several = type(one) in (list, tuple) and not isinstance(one[0], list)
+    several = type(one) in (list, tuple) and len(one) > 0 and not isinstance(one[0], list)
     several |= isinstance(one, np.ndarray) and one.ndim == 3
     fleet = args.Fleet({"domain": domain})
     plans = [fleet.read_plan(each) for each in (one if several else [one])]

@@ -59,8 +59,6 @@ def train_agent(
         ``qdenv train-agent --out agents/first``
     """
     checkpoint = path / "checkpoint.npz"
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: that is a file: name a folder")
     if not resume:
         RunDirectory(path).demand_own()
         refuse_second_training(path)
@@ -138,7 +136,7 @@ def evaluate_agent(
         raise InputError("--out is for the table of random mazes: add --random-mazes 100")
     plan, name = args.read_plan(layout), args.name_of(layout)
     if plan.domain.name not in MAZES:
-        raise InputError(f"{layout}: a layout of {plan.domain.name}, the agent walks in mazes")
+        raise InputError(f"{name}: a layout of {plan.domain.name}, the agent walks in mazes")
     if random_mazes and episodes.reference_batching:
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
     picture = place(gif, "episode.gif", (".gif",), [layout])

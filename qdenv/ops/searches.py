@@ -119,7 +119,10 @@ def train(
     if execution.workers is not None:
         settings = {"workers": execution.workers, **settings}
     if plan is not None:
-        whose = args.read_plan(plan, settings.pop("domain", None))
+        domain = settings.pop("domain", None)
+        if not isinstance(domain, str | None):
+            raise InputError("domain: with a plan give a name, the settings are the plan's")
+        whose = args.read_plan(plan, domain)
         if "demand" in settings:
             whose = with_tasks(whose, {"demand": settings.pop("demand")})
         config, scaled = resolve_plan(base, settings, whose, keep)

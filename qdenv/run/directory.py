@@ -164,10 +164,12 @@ class RunDirectory:
             yield
 
     def demand_own(self) -> None:
-        """Raise InputError if the folder is one of the zoo's, by name or by path."""
+        """Raise InputError if the folder is one of the zoo's, by name or by path, or is a file."""
         if shipped := self.shipped or find(self.path):
             train = f"`qdenv train {shipped.collection.origin.run}` makes a run of your own"
             raise InputError(f"{shipped}: ships with qdenv and stays as it is: {train}")
+        if self.path.exists() and not self.path.is_dir():
+            raise InputError(f"{self.path}: that is a file: name a folder")
         refuse_inside(self.path)
 
     def demand_new(self) -> None:
