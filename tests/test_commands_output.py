@@ -110,7 +110,18 @@ def test_names_that_would_lose_something_are_refused(folder, out, endings, said)
     (folder / "read.json").touch()
     (folder / "link.json").symlink_to("read.json")
     with pytest.raises(InputError, match=said):
-        place(Path(out), "plan.json", endings, [Path("read.json")])
+        place(Path(out), "plan.json", endings, ["0:9,0:9+" * 40, Path("read.json")])
+
+
+@pytest.mark.parametrize(
+    "line", ["check p.txt --keep k.txt", "generate zoo:maze-walls --plan k.txt"]
+)
+def test_facts_replace_no_file_that_is_read(line, folder, capsys):
+    Path("p.txt").write_text("\n".join(ROWS))
+    Path("k.txt").write_text("\n".join(ROWS))
+    assert run([*line.split(), "--json", "k.txt"]) == 2
+    assert "k.txt: " in capsys.readouterr().err
+    assert Path("k.txt").read_text() == "\n".join(ROWS)
 
 
 def test_facts_are_plain_json_with_six_digits_and_no_dust():

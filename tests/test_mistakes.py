@@ -243,6 +243,10 @@ MISTAKES = {
     "export zoo:warehouse-even --out x.png": "ends in .csv or .parquet",
     "export zoo:warehouse-even --out plans": ".csv or .parquet",
     "repair plan.txt --out plan.txt": "that is what is read",
+    "simulate plan.txt --agents 2 --demand odds.csv --paths odds.csv": "that is what is read",
+    "sweep plan.txt --agents 2 --demand odds.csv --out odds.csv": "that is what is read",
+    "compare plan.txt --agents 2 --demand odds.csv --runs odds.csv": "that is what is read",
+    "convert plan.txt uneven.json --guidance uneven.json": "that is what is read",
     "repair plan.txt --diff x.xyz": "ends in .png",
     "compare plan.txt --out c.png": "ends in .csv",
     "simulate plan.txt --plot --json picture.png": "picture",
@@ -252,6 +256,8 @@ MISTAKES = {
     "train quick --run-dir run": "holds a run already",
     "train quick --out plan.txt/run": "plan.txt is a file): choose another place",
     "train-agent --out plan.txt": "that is a file",
+    "guide plan.txt --robots 2 --out plan.txt": "that is a file: name a folder",
+    "improve plan.txt --robots 2 --out plan.txt": "that is a file: name a folder",
     "train quick --seed -1": "seed -1: give 0 or more",
     "sweep plan.txt --agents 5 --out a.json": "ends in .csv",
     "resume run": "manifest.json",
@@ -269,6 +275,7 @@ MISTAKES = {
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mistakes")
     (folder / "plan.txt").write_text("\n".join(PLAN))
+    (folder / "odds.csv").write_text("1,1,1,1,1,1,1,1,1,1,1\n" * len(PLAN))
     (folder / "ragged.json").write_text('["...........", "..."]')
     (folder / "ragged.txt").write_text("...........\n...\n")
     (folder / "strange.txt").write_text("....\n....\n.?..\n")

@@ -189,10 +189,10 @@ def _run_command(name: str, typed: list[str]) -> int:
             arguments["layouts"] = tuple(dict.fromkeys(layouts))
         target, to_stdout = None, facts_file == Path("-")
         if not to_stdout:
-            files = [path for path in flat(arguments) if isinstance(path, Path)]
-            if facts_file in files:
+            values = [*flat(arguments)]
+            if facts_file and facts_file in values:
                 raise InputError(f"{facts_file}: named twice: give the facts a file of their own")
-            target = place(facts_file, "facts.json", inputs=files)
+            target = place(facts_file, "facts.json", inputs=values)
         # Nothing but the facts is written to standard output if they are written there.
         with contextlib.redirect_stdout(sys.stderr if to_stdout else sys.stdout), _printing():
             try:

@@ -151,7 +151,9 @@ def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[s
 
 
 def flat(value: Any) -> Iterator[Any]:
-    """List the values in nested sequences and dictionaries."""
+    """List the values in nested sequences, dictionaries and dataclasses."""
+    if dataclasses.is_dataclass(value):
+        value = vars(value)
     if isinstance(value, list | tuple | dict):
         for one in value.values() if isinstance(value, dict) else value:
             yield from flat(one)

@@ -217,6 +217,7 @@ class Fleet:
         self.stop: bool = options.get("stop", True)
         self.guidance: Any = options.get("guidance")
         self.tasks: Mapping[str, Any] = options.get("tasks") or {}
+        self.inputs = [self.guidance, self.tasks.get("demand")]  # files that they name are read
         self._first: str | None = None  # the domain of the first plan
         self.seeds = parse_seeds(options.get("seeds", 10))
         self.seconds_per_step: float | None = options.get("seconds_per_step")
@@ -293,17 +294,16 @@ def each_planner(options: Mapping[str, Any]) -> list[Fleet]:
     Raises InputError as `Fleet` does, or if settings are stated beside several planners.
     """
     planners, changes = options.get("planner"), {}
-    if isinstance(planners, tuple) and isinstance(planners[-1], dict):  # of a command line
-        name, changes = planners
+    if planners and isinstance(planners, tuple) and isinstance(planners[-1], dict):
+        name, changes = planners  # of a command line
         planners = name.split(",") if name and "," in name else [planners]
     planners = list(planners) if isinstance(planners, list | tuple) else [planners]
     several = len(planners) > 1
     if several and changes:
         name = f"--planner.{next(iter(changes)).replace('_', '-')}"
         raise InputError(f"{name}: several planners have their defaults: leave it out")
-    if not all([planners, *planners] if several else [planners]) or any(
-        planners.count(one) > 1 for one in planners
-    ):
+    missing = not planners or (several and not all(planners))
+    if missing or any(planners.count(one) > 1 for one in planners):
         raise InputError("name each planner once, as in negotiated,pbs,pibt")
     # Among several, an effort is that of the negotiated planner.
     return [

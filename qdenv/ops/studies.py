@@ -87,8 +87,8 @@ def compare(
     Examples:
         ``qdenv compare before.txt after.txt --robots 40,60 --plot``
     """
-    each_run = place(runs, "compare_runs.csv", (".csv",), layouts)
     fleets = _Fleets(layouts, agents, (AGENTS, AGENTS, 1), "compare", study, several=True)
+    each_run = place(runs, "compare_runs.csv", (".csv",), fleets.inputs)
     with Bar("simulating") as bar:
         rows = fleets.compare(bar)
     against, (first, how) = studies.differences(rows), (rows[0].layout, "Welch, Fieller")
@@ -175,7 +175,9 @@ class _Fleets:
         options, self._width = fleets[0], study.get("width") or PAGE
         stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
         options.config(max(stated, default=1))  # refuses what makes no simulation
-        self._table, self._picture = place_table(study.get("out"), study.get("plot"), name, layouts)
+        self.inputs = [*layouts, *options.inputs]
+        out, plot = study.get("out"), study.get("plot")
+        self._table, self._picture = place_table(out, plot, name, self.inputs)
         plans = _read_plans(layouts, options)
         if any(plan.costs is not None for plan in plans.values()):
             for one in fleets:

@@ -65,9 +65,10 @@ def simulate(
         raise InputError(f"--width {width:g} is the picture's: add --plot")
     options = args.Fleet(fleet)
     plan, name = options.read_plan(layout), args.name_of(layout)
-    picture = place(plot, f"{plan.name}_traffic.png", PICTURES, [layout])
+    inputs = [layout, *options.inputs]
+    picture = place(plot, f"{plan.name}_traffic.png", PICTURES, inputs)
     agents, timesteps, note = options.usual(plan, agents)
-    tracks = place(paths, f"{plan.name}_paths.csv", (".csv", ".json"), [layout])
+    tracks = place(paths, f"{plan.name}_paths.csv", (".csv", ".json"), inputs)
     if tracks and agents * timesteps > MOST_SHOWN:
         most = MOST_SHOWN // agents
         raise InputError(f"--paths: of {agents} robots at most {most} timesteps are written")
