@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -242,3 +243,11 @@ def test_help_lists_every_command_once_under_its_group(capsys):
     assert [line for line in lines[1:] if line[:1].isalpha()] == list(cli.GROUPS)
     named = [line[2:18].strip() for line in lines if line[:2] == "  " and line[2] != " "]
     assert named == list(cli.COMMANDS) and len(set(named)) == sum(map(len, cli.GROUPS.values()))
+
+
+def test_a_plan_behind_a_sign_of_equality_has_the_options_of_its_domain(folder):
+    Path("plan.txt").write_text("\n".join(GOOD))
+    for plan in (["--plan", "plan.txt"], ["--plan=plan.txt"]):
+        words = ["zoo:manufacturing/best", *plan, "--shelves", "3"]
+        _, stated = cli.parse_command("generate", words)
+        assert stated.arguments.arguments["numbers"] == {"shelves": 3}

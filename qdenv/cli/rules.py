@@ -8,8 +8,8 @@ operation knows what was stated; help shows the default all the same.
 import contextlib
 import dataclasses
 import functools
+import os.path
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import (
     Annotated,
     Any,
@@ -40,7 +40,6 @@ from qdenv.study.plans import USUAL, read_plan
 from qdenv.types import InputError, choices
 
 _PLANNER = "planner."  # begins the options of a planner: other settings may have the same names
-_LONGEST_NAME = 255  # bytes of a file's name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,9 +198,7 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     # The preset comes first, before any option.
     config = find_preset(rest[0] if rest and rest[0][:1] != "-" else "quick")
     if chosen.domain is not None or any(word.partition("=")[0] == "--plan" for word in rest):
-        # A plan's, which is also found where it follows a sign of equality.
-        words = [word.removeprefix("--plan=") for word in rest[1:]]
-        config = configs.choose_domain(config, _domain_of(chosen, words).name)
+        config = configs.choose_domain(config, _domain_of(chosen, rest[1:]).name)
     if chosen.algorithm is not None:
         config = configs.choose_algorithm(config, chosen.algorithm)
     if chosen.generator is not None:
@@ -268,17 +265,17 @@ def _demand(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
 
 def _domain_of(chosen: Choices, rest: Sequence[str]) -> Domain:
     """Find the domain chosen by name, of a plan, a run or a layout, or the usual one."""
-    domain, words = find_domain(chosen.domain or USUAL), list(rest)
+    if chosen.domain:
+        return find_domain(chosen.domain)
+    words: list[str] = []
+    for word in rest:
+        words += word.split("=", 1) if word.startswith("--plan=") else [word]
     if "--plan" in words:  # whose rules hold, whatever the run's are
         words = words[words.index("--plan") + 1 :] + words
-    for word in () if chosen.domain else words:
-        if max(map(len, word.split("/"))) > _LONGEST_NAME:  # a list of numbers, perhaps
-            continue
-        if word.startswith(PREFIX) or (Path(word) / "config.json").exists():
-            domain = make_domain(args.open_run(word).config.evaluation.domain)
-            break
-        if Path(word).is_file():
+    for word in words:  # `Path` raises for a long one, a list of numbers perhaps
+        if word.startswith(PREFIX) or os.path.exists(os.path.join(word, "config.json")):
+            return make_domain(args.open_run(word).config.evaluation.domain)
+        if os.path.isfile(word):
             with contextlib.suppress(InputError):  # no layout, or one that the command refuses
-                domain = read_plan(word).domain
-                break
-    return domain
+                return read_plan(word).domain
+    return find_domain(USUAL)
