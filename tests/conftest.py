@@ -8,14 +8,17 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
 import jax
 import llvmlite.binding as llvm
+import numpy as np
 import platformdirs
 import pytest
 
 from experiments.benchmarks.pages import find_browser, open_page, start_browser
 from qdenv.cli.main import run as qdenv
+from qdenv.io.layouts import read_drawing, to_layout
 from qdenv.run.directory import RunDirectory
 
 TESTS = Path(__file__).parent
@@ -92,6 +95,11 @@ def emitted() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jax, "jit", partial(jax.jit, compiler_options={EMITTERS: True}))
         yield
+
+
+def read_layout(path, tiles, meanings=MappingProxyType({})) -> np.ndarray:
+    """Read a layout (int8 [H, W]) of an alphabet, with no domain's rules or facts."""
+    return to_layout(read_drawing(path).rows, path, tiles, meanings, "this domain")
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from importlib import metadata
 import numpy as np
 import pytest
 import toy
+from conftest import read_layout
 from small_warehouse import ROWS, TILES
 
 import qdenv
@@ -19,7 +20,7 @@ from qdenv.cli.main import run as command
 from qdenv.configurations import PRESETS
 from qdenv.domains.manufacturing import ManufacturingConfig
 from qdenv.grid import parse
-from qdenv.io.layouts import read_layout, write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.run import loop
 from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import read_layout
 from small_warehouse import ROWS as GOOD
 from small_warehouse import TILES
 
@@ -21,7 +22,7 @@ from qdenv.cli.help import example_of
 from qdenv.cli.main import run
 from qdenv.configurations import PRESETS
 from qdenv.grid import parse
-from qdenv.io.layouts import read_layout, write_layout
+from qdenv.io.layouts import write_layout
 
 
 def write(path, rows=GOOD):

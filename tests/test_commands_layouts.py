@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import read_layout
 from matplotlib.image import imread
 
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
-from qdenv.io.layouts import read_layout, write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.ops.layouts import list_symbols
 from qdenv.repairs import recipe
 

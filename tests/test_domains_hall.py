@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import read_layout
 
 import qdenv
 from qdenv import score
@@ -14,7 +15,6 @@ from qdenv.cli.main import run
 from qdenv.domains.base import find_domain, make_domain
 from qdenv.domains.hall import HallConfig
 from qdenv.grid import draw, parse
-from qdenv.io.layouts import read_layout
 from qdenv.repairs.audit import audit
 from qdenv.repairs.recipe import repair_layout
 from qdenv.repairs.settings import RepairConfig

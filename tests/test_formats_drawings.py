@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from conftest import read_layout
 from PIL import Image
 from small_warehouse import ROWS, TILES
 
@@ -12,7 +13,7 @@ from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.grid import draw
 from qdenv.io.formats import write_drawing
 from qdenv.io.images import COLOURS
-from qdenv.io.layouts import MAX_SIDE, Drawing, read_drawing, read_layout
+from qdenv.io.layouts import MAX_SIDE, Drawing, read_drawing
 from qdenv.types import InputError
 
 DOMAIN_NAMES = [name for name in DOMAINS.names() if name != "garden"]

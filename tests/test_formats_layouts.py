@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import read_layout
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +16,6 @@ from qdenv.io.layouts import (
     alphabet,
     endings_for,
     read_drawing,
-    read_layout,
     write_layout,
 )
 from qdenv.types import InputError
@@ -221,7 +221,7 @@ def test_a_file_says_whose_it_is_and_plain_formats_say_nothing(tmp_path):
 def test_an_alphabet_is_listed_with_its_meanings():
     said = alphabet(WAREHOUSE.tiles, WAREHOUSE.meanings)
     assert said == "'.' floor, '@' shelf, 'e' endpoint, 'w' workstation"
-    assert alphabet("?!") == "'?', '!'"
+    assert alphabet("?!", {}) == "'?', '!'"
 
 
 PIECES = [

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import maze_oracle as oracle
 import numpy as np
 import pytest
+from conftest import read_layout
 from PIL import Image
 
 from experiments.benchmarks.simulation import pad_units
@@ -20,7 +21,6 @@ from qdenv.agent.evaluate import (
     without_ring,
 )
 from qdenv.cli.main import run
-from qdenv.io.layouts import read_layout
 from qdenv.simulation.maze.policy import load_weights
 from qdenv.types import InputError
 from qdenv.view.layouts import COLOURS, MARKS

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import read_layout
 from small_yard import yard
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import parse
-from qdenv.io.layouts import read_layout
 from qdenv.repairs import recipe
 from qdenv.repairs.audit import audit
 from qdenv.repairs.milp import highs

@@ -8,11 +8,11 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from conftest import read_layout
 from fleet_runs import PLAIN, SERVICES
 from robustness.fleets import random_layout
 
 from qdenv.domains.base import find_domain
-from qdenv.io.layouts import read_layout
 from qdenv.simulation.mapf import fleet
 from qdenv.simulation.mapf.audit import audit
 from qdenv.simulation.mapf.host import run as host_run

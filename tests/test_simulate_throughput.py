@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import read_layout
 
 import qdenv
 from qdenv.domains.base import find_domain
-from qdenv.io.layouts import read_layout
 from qdenv.simulation.mapf import fleet
 from qdenv.simulation.mapf.negotiated.settings import LOW
 from qdenv.study.engine import run_seeds

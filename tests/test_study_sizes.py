@@ -8,6 +8,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from conftest import read_layout
 
 import qdenv
 from qdenv import grid
@@ -18,7 +19,7 @@ from qdenv.domains.warehouse import WarehouseConfig
 from qdenv.generators import GENERATORS, GuidedNcaConfig, NcaConfig
 from qdenv.guidance import crisscross, existing_moves
 from qdenv.io.arrays import write_arrays
-from qdenv.io.layouts import read_layout, write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.pipeline import EvaluationConfig, make_pipeline
 from qdenv.repairs.audit import audit
 from qdenv.repairs.pool import RepairPool

@@ -8,6 +8,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from conftest import read_layout
 from matplotlib.image import imread
 
 import qdenv
@@ -15,7 +16,6 @@ from qdenv.cli.main import run
 from qdenv.configurations import PRESETS
 from qdenv.domains.base import make_domain
 from qdenv.generators import GENERATORS
-from qdenv.io.layouts import read_layout
 from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory
 from qdenv.score import entropy

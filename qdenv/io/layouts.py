@@ -188,26 +188,12 @@ _NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})
 BLANKS = " ."  # empty cells, drawn either way
 
 
-def read_layout(
-    path: str | Path, tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS
+def to_layout(
+    rows: Sequence[str], path: str | Path, tiles: str, meanings: Mapping[str, Tile], whose: str
 ) -> np.ndarray:
-    """Read a layout (int8 [H, W]) from a file of any format in `io.formats`.
+    """Turn the drawn rows of a file into a layout (int8 [H, W]).
 
     `tiles` is the domain's alphabet, `meanings` what its symbols mean, and what else draws them.
-    Raises InputError if the file is missing, too big, or holds no proper layout.
-    """
-    return to_layout(read_drawing(path).rows, path, tiles, meanings)
-
-
-def to_layout(
-    rows: Sequence[str],
-    path: str | Path,
-    tiles: str,
-    meanings: Mapping[str, Tile] = _NO_MEANINGS,
-    whose: str = "this domain",
-) -> np.ndarray:
-    """Turn the drawn rows of a file into a layout (int8 [H, W]), as `read_layout` does.
-
     Where a blank draws an obstacle, which is around a building, it fills short lines of text and
     CSV. Raises InputError, which names the file `path` and the domain `whose`, if the drawing is
     empty or ragged, or holds a symbol that means nothing.
@@ -223,22 +209,20 @@ def to_layout(
         return parse(drawn, tiles, f"{whose} knows {alphabet(tiles, meanings)}")
 
 
-def alphabet(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> str:
+def alphabet(tiles: str, meanings: Mapping[str, Tile]) -> str:
     """List the symbols of an alphabet with what they mean, in a line."""
     names = {symbol: f" {tile.name}" for symbol, tile in meanings.items()}
     return ", ".join(f"{symbol!r}{names.get(symbol, '')}" for symbol in tiles)
 
 
-def aliases(tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS) -> dict[str, str]:
+def aliases(tiles: str, meanings: Mapping[str, Tile]) -> dict[str, str]:
     """List what else may be drawn for which symbol: ``#`` for a wall, a blank for a dot."""
     known = {other: symbol for symbol, tile in meanings.items() for other in tile.also}
     blanks = {other: symbol for symbol in BLANKS if symbol in tiles for other in BLANKS}
     return {other: symbol for other, symbol in (blanks | known).items() if other not in tiles}
 
 
-def endings_for(
-    tiles: str, meanings: Mapping[str, Tile] = _NO_MEANINGS, costs: bool = False
-) -> tuple[str, ...]:
+def endings_for(tiles: str, meanings: Mapping[str, Tile], costs: bool = False) -> tuple[str, ...]:
     """List endings of files that hold every tile of an alphabet, and costs of moves if `costs`."""
     every = set(tiles) <= _on_map(tiles, meanings).keys()
     plain = [ending for ending in ENDINGS if every or ending != ".map"]
