@@ -140,16 +140,16 @@ def write_drawing(
     write = pkgutil.resolve_name("{0.module}:{0.write}".format(FORMATS[name]))
     lost = write(path, drawing, meanings) or []
     # What the drawing has, and the file has no place for.
-    holds = FORMATS[name].endings.get(_ending_of(path), ("weights", *_ROBOTS, "details"))
+    places = FORMATS[name].endings.get(_ending_of(path), ("weights", *_ROBOTS, "details"))
     parts = {
         "weights": ("costs of moves are", drawing.weights is not None),
         "starts": ("the robots' starts are", bool(drawing.starts)),
         "tasks": ("tasks are", bool(drawing.tasks)),
     }
-    lost = [*lost, *(words for part, (words, has) in parts.items() if has and part not in holds)]
+    lost = [*lost, *(words for part, (words, has) in parts.items() if has and part not in places)]
     facts = {**drawing.details, **drawing.details.get("facts", {})}
-    keys = [key for key, fact in facts.items() if key not in (*holds, "domain", "facts") and fact]
-    lost += [f"facts ({', '.join(keys)}) are"] * (bool(keys) and "details" not in holds)
+    keys = [key for key, fact in facts.items() if key not in (*places, "domain", "facts") and fact]
+    lost += [f"facts ({', '.join(keys)}) are"] * (bool(keys) and "details" not in places)
     return [f"{name}: {what} left out" for what in lost]
 
 

@@ -284,10 +284,11 @@ def write_rhcr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         if tiles[start // cols][start % cols] == ".":
             tiles[start // cols][start % cols] = _HOME
     rows = ["".join(row) for row in tiles]
-    if "".join(rows).count(_HOME) < len(drawing.starts):
+    drawn = "".join(rows)
+    if drawn.count(_HOME) < len(drawing.starts):
         lost.append("starts on other tiles than floor are")
-    drawn, free = "".join(rows), free_cells(drawing.rows, meanings)
     if grid:
+        free = free_cells(drawing.rows, meanings)
         names = {symbol: name for name, symbol in _TYPES.items()}
         weights = drawing.weights or [1.0] * int(1 + existing_moves(free)[1:].sum())
         head, *cells = write_table(rows, costs_of(weights, free)).splitlines()

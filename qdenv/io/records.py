@@ -285,6 +285,6 @@ def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
         raise ValueError(f"{text[:_MAX_DIGITS]!r} is not {names[kind]}") from None
     if kind is float and not (math.isfinite(value) or (infinite and not math.isnan(value))):
         raise ValueError(f"{text} is no finite number")
-    if kind is int and abs(value) >= 2**63:
+    if kind is int and abs(value) >= _INT_LIMIT:
         raise ValueError(f"{text} is too large")
     return value

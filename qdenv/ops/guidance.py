@@ -101,7 +101,7 @@ def guide(
     if model is not None:
         costs, judged = guides.find_guidance(args.open_run(model), plan, fleet)
         path.mkdir(parents=True, exist_ok=True)
-        return show_guidance(plan, costs, fleet, path, {"model": str(model), "judged": judged})
+        return _show_guidance(plan, costs, fleet, path, {"model": str(model), "judged": judged})
     say(f"{config.evaluations} evaluations into {path}")
     run = loop.train(config, path, progress, execution, minutes or np.inf, start)
     return finish_guide(run, plan.name)
@@ -118,10 +118,10 @@ def finish_guide(run: RunDirectory, name: str) -> Table:
     total, done = run.config.evaluations, run.read_metrics()[-1].evaluations
     if done < total:
         say(f"{done} of {total} evaluations are done: `qdenv resume {shlex.quote(str(run))}`")
-    return show_guidance(plan, costs, config.domain.fleet, run.path, {"judged": judged})
+    return _show_guidance(plan, costs, config.domain.fleet, run.path, {"judged": judged})
 
 
-def show_guidance(
+def _show_guidance(
     plan: Plan, costs: np.ndarray, fleet: FleetConfig, path: Path, facts: dict[str, Any]
 ) -> Table:
     """Write costs (int32 [5, H, W]), draw them, and simulate the plan with and without them."""
