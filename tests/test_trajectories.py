@@ -125,9 +125,12 @@ def test_the_leagues_generations_are_read_and_their_tasks_counted(changes, said,
     assert said in capsys.readouterr().out
 
 
-def test_a_task_at_infinity_is_no_task(tmp_path):
-    content = json.dumps(league(tasks=[[0, float("inf"), 3]], events=[[1, 0, 0, 1]]))
-    (tmp_path / "run.json").write_text(content)
+@pytest.mark.parametrize(
+    "changes",
+    [{"tasks": [[0, float("inf"), 3]], "events": [[1, 0, 0, 1]]}, {"events": [[2, 1, 1, 0]]}],
+)
+def test_a_task_at_infinity_is_no_task_and_errands_count_from_one(changes, tmp_path):
+    (tmp_path / "run.json").write_text(json.dumps(league(**changes)))
     with pytest.raises(InputError, match="events and tasks are not those of"):
         read_run(tmp_path / "run.json")
 

@@ -266,6 +266,8 @@ def _errands(output: _Output) -> list[Errand]:
     ] or [tuple(one) for one in output.events if one and not isinstance(one[0], list)]
     errands = []
     for time, robot, task, errand in events:
+        if errand < 1:  # it would count from the last one
+            raise IndexError
         row, column = goals[task][errand - 1]
         place, last = (int(row), int(column)), errand == len(goals[task])
         errands.append(Errand(int(time), int(robot), place, int(task), last))
