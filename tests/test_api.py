@@ -104,11 +104,24 @@ def test_repair_and_check_take_numbers_by_name(path):
         qdenv.repair(path, shelves=70)
 
 
-def test_a_plan_is_named_in_refusals_and_gives_the_settings_of_its_domain(path):
+def test_mistakes_of_python_get_one_line_too(path):
     with pytest.raises(InputError, match=r"^plan: a layout of warehouse-uneven"):
         qdenv.evaluate_agent(qdenv.read_plan(path))
     with pytest.raises(InputError, match="domain: with a plan give a name"):
         qdenv.train("quick", plan=path, domain=ManufacturingConfig())
+    for function, options in (
+        (qdenv.simulate, {"planer": "pibt"}),
+        (qdenv.compare, {"planer": "pibt"}),
+        (qdenv.guide, {"seeds": 3}),
+        (qdenv.improve, {"ailse": 2}),
+        (qdenv.replay, {"seeds": 3}),
+    ):
+        with pytest.raises(InputError, match=r"unknown option '(planer|seeds|ailse)'"):
+            function([path] if function is qdenv.compare else path, 2, **options)
+    with pytest.raises(InputError, match="give tiles like"):
+        qdenv.check(path, keep="0" * 300)
+    with pytest.raises(InputError, match="unknown guidance"):
+        qdenv.simulate(path, 2, guidance="0" * 300)
     for none in ((), []):
         with pytest.raises(InputError, match="name each planner once"):
             qdenv.compare([path], 2, planner=none)

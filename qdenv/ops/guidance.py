@@ -68,7 +68,7 @@ def guide(
     numbers = {name: given.pop(name) for name in names if name in given}
     if given.get("planner") is None and given.get("effort") is None:
         given["planner"] = args.PibtOptions.usual
-    options = args.Fleet(given)
+    options = args.Fleet(given, args.RunOptions)
     plan = options.read_plan(layout)
     named = isinstance(base, str) and base in get_args(Base)
     named = named or (base is None and (plan.costs is None or method in ("smooth", "update")))

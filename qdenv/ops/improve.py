@@ -93,7 +93,7 @@ def improve(
     numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
     named = ("shelves", *BuiltConfig.__annotations__)
     rules: dict[str, Any] = {name: given.pop(name) for name in named if name in given}
-    options = args.Fleet(given)
+    options = args.Fleet(given, args.RunOptions)
     plan = options.read_plan(layout)
     agents, timesteps, note = options.usual(plan, agents)
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, round(1.25 * agents))

@@ -32,7 +32,7 @@ from qdenv.simulation.mapf.settings import (
 from qdenv.study.options import TIMESTEPS, Keep, parse_counts, parse_seeds, usual_fleet
 from qdenv.study.plans import Plan, close_parts, guide, name_guidance, with_tasks
 from qdenv.study.plans import read_plan as read_file
-from qdenv.types import InputError
+from qdenv.types import InputError, look_up
 from qdenv.view import parse_width
 
 if TYPE_CHECKING:
@@ -205,8 +205,10 @@ class ImproveOptions(RunOptions, total=False):
 class Fleet:
     """The options of runs of a fleet, resolved."""
 
-    def __init__(self, options: Mapping[str, Any]) -> None:
-        """Resolve `FleetOptions`; raise InputError if one is unknown or impossible."""
+    def __init__(self, options: Mapping[str, Any], kind: Any = FleetOptions) -> None:
+        """Resolve options of a `kind`; raise InputError if one is not of it, or impossible."""
+        for name in options:
+            look_up(kind.__annotations__, name, "option")
         self.domain: str | None = options.get("domain")
         self.timesteps: int | None = options.get("timesteps")
         self.effort: str | None = options.get("effort")
@@ -289,7 +291,7 @@ class Fleet:
 
 
 def each_planner(options: Mapping[str, Any]) -> list[Fleet]:
-    """Resolve `FleetOptions` once for each planner: one, or a list of names and settings.
+    """Resolve `StudyOptions` once for each planner: one, or a list of names and settings.
 
     Raises InputError as `Fleet` does, or if settings are stated beside several planners.
     """
@@ -306,8 +308,9 @@ def each_planner(options: Mapping[str, Any]) -> list[Fleet]:
     if missing or any(planners.count(one) > 1 for one in planners):
         raise InputError("name each planner once, as in negotiated,pbs,pibt")
     # Among several, an effort is that of the negotiated planner.
+    others = {"effort": None} if several else {}
     return [
-        Fleet({**options, "planner": one} | ({"effort": None} if several and one != OWN else {}))
+        Fleet({**options, "planner": one} | ({} if one == OWN else others), StudyOptions)
         for one in planners
     ]
 

@@ -92,7 +92,7 @@ def replay(
     Examples:
         ``qdenv replay plan.txt --robots 60 --out replay.html``
     """
-    options = args.Fleet(fleet)
+    options = args.Fleet(fleet, args.RunOptions)
     plan = options.read_plan(layout)
     outputs = {".html": out, ".gif": films.gif, ".mp4": films.mp4}
     target, *drawn = (

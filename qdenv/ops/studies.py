@@ -171,7 +171,7 @@ class _Fleets:
         which 200 agents are usual. `name` is that of the table, unless `study` states another. The
         planners of `study` may be `several`.
         """
-        fleets = args.each_planner(study) if several else [args.Fleet(study)]
+        fleets = args.each_planner(study) if several else [args.Fleet(study, args.StudyOptions)]
         options, self._width = fleets[0], study.get("width") or PAGE
         stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
         options.config(max(stated, default=1))  # refuses what makes no simulation

@@ -1,5 +1,6 @@
 """Options of studies: seeds, numbers of agents, what must stay, what a known size gives."""
 
+import os.path
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -120,11 +121,11 @@ def _split(keep: Keep, domain: Domain, folder: Path) -> Iterator[str | Path]:
     for one in [keep] if isinstance(keep, str | Path) else keep:
         whole = isinstance(one, Path) and (folder / one).exists()
         for part in [str(one)] if whole else str(one).split("+"):
-            tiles = bool(part) and set(part) <= set(domain.tiles)
+            tiles, path = bool(part) and set(part) <= set(domain.tiles), folder / part
             if tiles or rectangle(part, domain.shape):
                 yield part
-            elif Path(part).suffix.lower() in READ_ENDINGS or (part and (folder / part).exists()):
-                yield folder / part
+            elif part and (path.suffix.lower() in READ_ENDINGS or os.path.exists(path)):
+                yield path
             else:
                 raise InputError(
                     f"keep {part!r}: give tiles like w#, rows and columns like 0:7,33:40, or the "

@@ -1,6 +1,7 @@
 """Layouts from files with their domains, drawings of what must stay, and what a repair changed."""
 
 import contextlib
+import os.path
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -238,7 +239,7 @@ def guide(plan: Plan, guidance: Any = None) -> Plan:
             with about(plan.name):
                 legs = task_odds(plan.layout, tasks)
             plan = plan._replace(costs=GUIDANCE[name](free, legs), guidance=name)
-        elif Path(name).suffix.lower() in ENDINGS or Path(name).exists():
+        elif Path(name).suffix.lower() in ENDINGS or os.path.exists(name):
             plan = plan._replace(costs=_read_costs(name, plan), guidance=name)
         else:
             raise InputError(f"unknown guidance {name!r}: {choices(name, GUIDANCE)}, or a file")
