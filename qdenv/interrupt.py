@@ -50,7 +50,8 @@ def watch(program: str = "qdenv") -> None:
             if _unsaved:
                 _save(reader)
             with contextlib.suppress(OSError):
-                os.write(2, f"\n{last_words()}\n".encode())
+                # A name of a file that is no UTF-8 is written as it came.
+                os.write(2, f"\n{last_words()}\n".encode(errors="surrogateescape"))
             # Whoever prints at this moment holds a lock: wait for it a little, not for ever.
             flushing = threading.Thread(target=sys.stdout.flush, daemon=True)
             flushing.start()

@@ -114,6 +114,16 @@ def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, s
     assert said.splitlines()[-1] == "qdenv: stopped; `qdenv resume runs/a` goes on"
 
 
+def test_a_file_whose_name_is_no_text_does_not_prevent_the_end(tmp_path):
+    script = UNSAVED.replace("advise(", "str(").format(seconds=0)
+    work = start(["-c", script, "\udcff.json"], tmp_path, "0", errors="surrogateescape")
+    assert work.stdout.readline() == "ready\n"
+    work.send_signal(signal.SIGINT)
+    _, said = work.communicate(timeout=60)
+    assert work.returncode == 130
+    assert said.splitlines()[-1] == "qdenv: stopped; `qdenv '\udcff.json'` starts over"
+
+
 RUN = """
 import sys
 from qdenv import interrupt
