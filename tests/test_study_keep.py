@@ -34,7 +34,7 @@ def test_walls_and_stations_stay_by_themselves(plan):
 
 
 def test_tiles_and_rectangles_add_to_what_stays(plan):
-    assert kept(plan, "w") == STAYS
+    assert kept(plan, "w") == kept(plan, []) == STAYS
     assert kept(plan, "@")[1] == "???@???@??#"
     # Rows and columns as in Python: the last ones are not included, left out means to the end.
     assert kept(plan, "1:3,2:4")[1] == "??e@??????#" and kept(plan, "1:3,2:4")[3] == STAYS[3]

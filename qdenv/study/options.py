@@ -108,7 +108,7 @@ def keep_from(
         if not inside.any():
             raise InputError(f"keep {part}: the plan of {rows} x {cols} has no such cell")
         cells = np.where(inside, symbols, cells)
-    with about("keep" if len(parts) > 1 else str(parts[0])):
+    with about(str(parts[0]) if len(parts) == 1 else "keep"):
         kept = make_domain(replace(domain.config, keep=tuple(map("".join, cells))))
         reason = None if kept.rules is None else impossible(kept.rules())
         if reason:
