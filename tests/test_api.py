@@ -230,7 +230,7 @@ def test_an_archive_is_asked_by_cell_and_by_measures(run):
             cell = tuple(archive.cells[np.argmin(distance)])
         assert run.elite(measures=point).cell == cell
     for wrong in ({"which": "nonsense"}, {"which": "99,99"}, {"measures": (1,)}, {"which": 3},
-                  {"measures": (1, float("nan"))}):  # fmt: skip
+                  {"which": (0.5, 0.5)}, {"measures": (1, float("nan"))}):  # fmt: skip
         with pytest.raises(InputError):
             run.elite(**wrong)
 

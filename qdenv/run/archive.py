@@ -3,6 +3,7 @@
 import html
 import io
 import math
+import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -179,8 +180,10 @@ class SavedArchive:
         if isinstance(which, str) and which == "best":
             return self._elite(best_row(self.columns, self.schema.tie_break))
         try:
-            parts = which.split(",") if isinstance(which, str) else which
-            cell = tuple(int(part) for part in parts)
+            if isinstance(which, str):
+                cell = tuple(map(int, which.split(",")))
+            else:
+                cell = tuple(map(operator.index, which))
             number = np.ravel_multi_index(cell, self.shape)
         except (ValueError, TypeError, OverflowError) as error:
             text = which if isinstance(which, str) else str(which).strip("()[]")
