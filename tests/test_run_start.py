@@ -1,6 +1,8 @@
 """A search begins where another one ended: at a generator of a run, kept in its own folder."""
 
+import json
 import shutil
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -62,6 +64,18 @@ def test_a_start_that_no_setting_names_is_read_again(tmp_path):
     (tmp_path / "config.json").unlink()  # as if it had been killed before it wrote that
     RunDirectory.create(tmp_path, toy.CONFIG, ())
     assert RunDirectory.open(tmp_path).read_start() is None
+
+
+def test_the_revision_is_not_that_of_the_repository_that_it_was_installed_into(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("qdenv.run.directory.__file__", str(tmp_path / "directory.py"))
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=b"]
+    for words in (["init", "-q"], ["commit", "-q", "--allow-empty", "-m", "theirs"]):
+        subprocess.run([*git, *words], check=True)
+    RunDirectory.create(tmp_path / "run", toy.CONFIG, ())
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert manifest["git_revision"] is None
 
 
 def test_it_resumes_to_the_same_bits_without_the_run_that_it_began_from(first, tmp_path):

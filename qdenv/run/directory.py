@@ -102,9 +102,11 @@ class RunDirectory:
         """
         run = cls(Path(path))
         run.demand_new()
-        git = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+        here = Path(__file__)
+        # The second is refused where the package was installed into somebody else's repository.
+        git = ["git", "-C", str(here.parent), "rev-parse", "HEAD", f"HEAD:./{here.name}"]
         try:
-            revision = subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL).strip()
+            revision, _ = subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL).split()
         except (OSError, subprocess.CalledProcessError):  # the package was installed
             revision = None
         domain = make_domain(config.evaluation.domain)
