@@ -35,6 +35,7 @@ from qdenv.generators import Base
 from qdenv.guidance import unscaled_costs
 from qdenv.io.layouts import write_layout
 from qdenv.ops.runs import generate
+from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.pbs.settings import PbsConfig
@@ -212,7 +213,7 @@ def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
 def main(
     cases: tuple[str, ...] = ("warehouse", "warehouse-150", "empty", "random"),
     agents: str = "",
-    seeds: int = 10,
+    seeds: PositiveInt = 10,
     out: Path = Path("runs/guidance.csv"),
     search: tuple[int, int] = (0, 0),
 ) -> None:

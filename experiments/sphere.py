@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.program import run_program
+from qdenv.ranges import PositiveInt
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
 from qdenv.search.settings import StrategyName
@@ -60,9 +61,9 @@ def search_sphere(config: CmaMaeConfig, dim: int, iterations: int) -> Any:
 
 
 def main(
-    iterations: int = 500,
-    seeds: int = 1,
-    dim: int = 100,
+    iterations: PositiveInt = 500,
+    seeds: PositiveInt = 1,
+    dim: PositiveInt = 100,
     strategy: StrategyName = "full",
     emitters: int = 15,
     batch: int = 36,

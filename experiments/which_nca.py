@@ -15,6 +15,8 @@ import numpy as np
 import qdenv
 from experiments.program import run_program
 from experiments.runs import whole_run
+from qdenv.ranges import PositiveInt
+from qdenv.run.config import override
 from qdenv.stats import standard_error
 
 KERNELS = ((3, 3, 3), (3, 1, 1))
@@ -22,8 +24,8 @@ KERNELS = ((3, 3, 3), (3, 1, 1))
 
 def main(
     preset: str = "quick",
-    seeds: int = 3,
-    evaluations: int | None = None,
+    seeds: PositiveInt = 3,
+    evaluations: PositiveInt | None = None,
     strategies: tuple[str, ...] = ("iso", "sep"),
     out: Path = Path("runs/which_nca"),
 ) -> None:
@@ -38,22 +40,18 @@ def main(
     """
     base = qdenv.find_preset(preset)
     evaluations = evaluations or base.evaluations
-    evaluation = base.evaluation
+    base = replace(base, evaluations=evaluations)
+    configs = {
+        (kernels, strategy): override(base, {"kernel_sizes": kernels, "strategy": strategy})
+        for kernels, strategy in itertools.product(KERNELS, strategies)
+    }
     print(f"{preset}, {evaluations} evaluations, {seeds} seeds: mean (standard error)")
     print("kernels   strategy  QD-score          coverage          best objective")
-    for kernels, strategy in itertools.product(KERNELS, strategies):
+    for (kernels, strategy), config in configs.items():
         finals = []
         for seed in range(seeds):
-            generator = replace(evaluation.generator, kernel_sizes=kernels)
-            config = replace(
-                base,
-                seed=seed,
-                evaluations=evaluations,
-                evaluation=replace(evaluation, generator=generator),
-                algorithm=replace(base.algorithm, strategy=strategy),
-            )
             path = out / f"{preset}-{''.join(map(str, kernels))}-{strategy}-{seed}"
-            metrics = whole_run(config, path).read_metrics()
+            metrics = whole_run(replace(config, seed=seed), path).read_metrics()
             last = [row for row in metrics if row.evaluations <= evaluations][-1]
             finals.append([last.qd_score, last.coverage, last.best_objective])
         mean, error = np.mean(finals, axis=0), standard_error(finals)

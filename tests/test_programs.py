@@ -16,6 +16,8 @@ MISTAKES = {
     "experiments --make table_6": "unknown experiment 'table_6'",
     "experiments --executer dask": "did you mean --executor?",
     "experiments.sphere --seeds many": "--seeds must be an integer, not 'many'",
+    "experiments.sphere --seeds 0": "seeds must be at least 1, not 0",
+    "experiments.which_nca --preset dsage-quick": "there is no setting 'kernel_sizes'",
     "experiments.own_objective --algorithm magic": "unknown algorithm 'magic'",
     "experiments.zoo nowhere": "nowhere: ",
     "experiments.benchmarks maze --unit 3": "unknown option --unit",

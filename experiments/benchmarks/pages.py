@@ -11,6 +11,7 @@ import tyro
 
 import qdenv
 from experiments.benchmarks.common import Row, save, show
+from qdenv.ranges import PositiveInt
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -48,7 +49,7 @@ def pages(
     seconds: float = 5.0,
     width: int = 1280,
     height: int = 860,
-    repeats: int = 3,
+    repeats: PositiveInt = 3,
     json: Path | None = None,
 ) -> Row:
     """Open pages in headless Chromium and measure them.

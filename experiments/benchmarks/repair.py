@@ -10,6 +10,7 @@ import numpy as np
 
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, save, show
+from qdenv.ranges import PositiveInt
 from qdenv.repairs.recipe import repair_layout
 from qdenv.repairs.settings import Polish, RepairConfig
 from qdenv.types import RepairStatus, Rules
@@ -31,7 +32,7 @@ def repair(
     population: int = 50,
     tiles: int = 50,
     eval_size: bool = True,
-    seeds: int = 2,
+    seeds: PositiveInt = 2,
     json: Path | None = None,
 ) -> Row:
     """Repair and audit files, layouts of one tile, of random automata and of random tiles.

@@ -14,6 +14,7 @@ import numpy as np
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, best_of, save, show
 from qdenv.generators import DirectConfig
+from qdenv.ranges import PositiveInt
 from qdenv.run.config import archive_axes
 from qdenv.run.experiment import problem_of
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
@@ -39,7 +40,7 @@ CASES = (
 )
 
 
-def search(iterations: int = 100, only: str = "", json: Path | None = None) -> Row:
+def search(iterations: PositiveInt = 100, only: str = "", json: Path | None = None) -> Row:
     """Time ask and tell of CMA-MAE (100 x 100 cells) and a large insertion, beside pyribs.
 
     Evaluation and compilation are left out. pyribs is timed if it is installed.

@@ -19,6 +19,7 @@ from experiments.benchmarks.common import Row, Stopwatch, best_of, save, show
 from experiments.benchmarks.repair import grow_random, rules_at_size
 from experiments.ledger import DRIVERS
 from qdenv.agent.evaluate import default_horizon, draw_mazes, run_alone, run_batch
+from qdenv.ranges import PositiveInt
 from qdenv.repairs.recipe import repair_layout
 from qdenv.simulation.maze.policy import Weights, draw_weights, load_weights
 from qdenv.simulation.maze.world import longest_path
@@ -39,7 +40,7 @@ def simulate(
     reference: Path | None = None,
     layouts: Path | None = None,
     planners: tuple[Literal["low", "high", "published", "plain"], ...] = ("low", "high"),
-    seeds: int = 3,
+    seeds: PositiveInt = 3,
     longest: int = 1000,
     match: str = "",
     audit: bool = False,
@@ -258,7 +259,7 @@ def pad_units(weights: Weights, units: int) -> Weights:
 def maze(
     units: int = 256,
     mazes: int = 12,
-    repeats: int = 3,
+    repeats: PositiveInt = 3,
     large: bool = True,
     seed: int = 0,
     json: Path | None = None,

@@ -22,6 +22,7 @@ from jax.random import fold_in
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, save, show
 from qdenv.pipeline import PipelinedEvaluator
+from qdenv.ranges import PositiveInt
 from qdenv.run.evaluate import Threads
 from qdenv.run.executors import ClusterExecutor, Execution, Task
 from qdenv.run.experiment import observed
@@ -32,7 +33,7 @@ CLUSTER = {"threads_per_worker": 1, "memory_limit": 0, "dashboard_address": None
 
 def pipeline(
     preset: str = "warehouse-even",
-    iterations: int = 3,
+    iterations: PositiveInt = 3,
     batch: int = 0,
     seed: int = 0,
     json: Path | None = None,
