@@ -10,8 +10,8 @@ half-done ones go on, so this can be stopped and started again, with more seeds,
 import time
 from dataclasses import replace
 from itertools import chain, product
+from math import nan
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,9 @@ from experiments.published import TABLE_4
 from experiments.runs import whole_run
 from qdenv.io.files import write_csv
 from qdenv.ops.output import format_duration, format_table
+from qdenv.ranges import PositiveInt
 from qdenv.run.config import choose_algorithm
-from qdenv.study.groups import band_of
+from qdenv.study.groups import CURVES, Group, band_of, group_runs
 from qdenv.view.style import new_figure, save_figure, styled
 
 ALGORITHMS = ("cma-mae", "cma-me", "map-elites", "cma-es", "random", "dsage")
@@ -32,54 +33,42 @@ LOOKS = (
     *(("#0072B2", "-"), ("#56B4E9", "--"), ("#D55E00", "-"), ("#E69F00", "--")),
     *(("#999999", ":"), ("#CC79A7", "-.")),
 )
-METRICS = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}
 ENTROPY = ("mean_entropy", "lowest_entropy", "share_below_half")
 
 
-class Runs(NamedTuple):
-    """The runs of one algorithm."""
-
-    evaluations: np.ndarray  # int [N], where its metrics were taken
-    metrics: np.ndarray  # float [seeds, N, 3], in the order of `METRICS`
-    entropy: np.ndarray  # float [3], over the elites, means over seeds, in the order of `ENTROPY`
-
-
-def collect(runs: list[qdenv.RunDirectory]) -> Runs:
-    """Put the metrics of an algorithm's runs side by side; NaN where entropy is no measure."""
-    tables = [run.read_metrics() for run in runs]
-    metrics = [[[getattr(row, name) for name in METRICS] for row in rows] for rows in tables]
-    entropies = np.full((len(runs), len(ENTROPY)), np.nan)
-    for number, run in enumerate(runs):
-        found = [place for place, axis in enumerate(run.measures) if "entropy" in axis.name]
-        if found:
-            values = run.archive.columns["measures"][:, found].ravel()
-            entropies[number] = values.mean(), values.min(), (values < 0.5).mean()
-    evaluations = np.array([row.evaluations for row in tables[0]])
-    return Runs(evaluations, np.array(metrics), entropies.mean(axis=0))
+def entropy_of(run: qdenv.RunDirectory) -> tuple[float, float, float]:
+    """Return the `ENTROPY` of the elites of a run; NaN where entropy is no measure."""
+    found = [place for place, axis in enumerate(run.measures) if "entropy" in axis.name]
+    if not found:
+        return nan, nan, nan
+    values = run.archive.columns["measures"][:, found].ravel()
+    return values.mean(), values.min(), (values < 0.5).mean()
 
 
-def write_table(path: Path, found: dict[str, Runs], domain: str) -> None:
+def write_table(path: Path, found: dict[str, Group], domain: str) -> None:
     """Write one row per algorithm, and print it beside the paper's of a domain.
 
-    A row holds final means, half-widths of their intervals, entropies.
+    A row holds final means, half-widths of their intervals, means of entropies.
     """
     print(
         "mean +- half of its 95 % interval (Student's t); share: of elites with entropy below 0.5"
     )
     paper = "Table 4: QD-score, coverage"
-    shown = [("algorithm", *METRICS.values(), "entropy", "lowest", "share", paper)]
+    shown = [("algorithm", *CURVES.values(), "entropy", "lowest", "share", paper)]
     head = ["algorithm", "seeds", "evaluations"]
-    head += [name for metric in METRICS for name in (metric, f"{metric}_margin")]
+    head += [name for metric in CURVES for name in (metric, f"{metric}_margin")]
     rows = []
-    for name, runs in found.items():
-        pairs = list(zip(*band_of(runs.metrics[:, -1]), strict=True))
-        numbers = [f"{number:.6g}" for number in (*chain(*pairs), *runs.entropy)]
-        rows.append((name, len(runs.metrics), runs.evaluations[-1], *numbers))
+    for name, group in found.items():
+        last = np.column_stack([values[:, -1] for values in group.curves.values()])
+        pairs = list(zip(*band_of(last), strict=True))
+        entropies = np.mean([entropy_of(run) for run in group.runs], axis=0)
+        numbers = [f"{number:.6g}" for number in (*chain(*pairs), *entropies)]
+        rows.append((name, len(group.runs), group.evaluations[-1], *numbers))
         cells = [
             f"{m:.{digits}f} +- {half:.{digits}f}"
             for (m, half), digits in zip(pairs, (1, 4, 3), strict=True)
         ]
-        mean, lowest, share = runs.entropy
+        mean, lowest, share = entropies
         cells += [f"{mean:.2f}", f"{lowest:.2f}", f"{share:.1%}"]
         shown.append((name, *cells, str(TABLE_4.get((domain, name), ""))))
     print("\n".join(format_table(shown)))
@@ -87,13 +76,13 @@ def write_table(path: Path, found: dict[str, Runs], domain: str) -> None:
 
 
 @styled
-def draw(path: Path, found: dict[str, Runs], title: str) -> None:
+def draw(path: Path, found: dict[str, Group], title: str) -> None:
     """Draw the three metrics over true evaluations: means, and their 95 % intervals shaded."""
     figure = new_figure(10, 3.6, dpi=110)
-    panels = figure.subplots(1, len(METRICS))
-    for column, (axes, label) in enumerate(zip(panels, METRICS.values(), strict=True)):
-        for (name, runs), look in zip(found.items(), LOOKS, strict=False):
-            draw_band(axes, runs.evaluations, runs.metrics[:, :, column], look, name)
+    panels = figure.subplots(1, len(CURVES))
+    for axes, (metric, label) in zip(panels, CURVES.items(), strict=True):
+        for (name, group), look in zip(found.items(), LOOKS, strict=False):
+            draw_band(axes, group.evaluations, group.curves[metric], look, name)
         axes.set(title=label, xlabel="true evaluations")
     figure.suptitle(title, fontsize="medium")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
@@ -102,8 +91,8 @@ def draw(path: Path, found: dict[str, Runs], title: str) -> None:
 
 def main(
     preset: str = "quick",
-    seeds: int = 5,
-    evaluations: int | None = None,
+    seeds: PositiveInt = 5,
+    evaluations: PositiveInt | None = None,
     algorithms: tuple[str, ...] = ALGORITHMS,
     out: Path = Path("runs/algorithms"),
 ) -> None:
@@ -132,11 +121,11 @@ def main(
         left = (time.time() - start) / done * (len(todo) - done)
         rest = f", about {format_duration(left)} left" if done < len(todo) else ""
         print(f"{done} of {len(todo)}: {run!r}{rest}", flush=True)
-    collected = {name: collect(runs) for name, runs in found.items()}
+    groups = {name: group_runs(runs)[0] for name, runs in found.items()}
     domain = qdenv.DOMAINS.name_of(base.evaluation.domain)
-    write_table(out / "algorithms.csv", collected, domain)
+    write_table(out / "algorithms.csv", groups, domain)
     spread = "mean and 95 % interval" if seeds > 1 else "one run each"
-    draw(out / "algorithms.png", collected, f"{preset}, {seeds} seeds: {spread}")
+    draw(out / "algorithms.png", groups, f"{preset}, {seeds} seeds: {spread}")
     print(f"{out / 'algorithms.csv'}, {out / 'algorithms.png'}")
 
 
