@@ -13,7 +13,7 @@ started again.
 
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -161,33 +161,32 @@ def main(
     domain = DOMAINS.name_of(run.config.evaluation.domain)
     rules = look_up(RULES, domain, "domain of the zoo")
     every = [run, *map(RunDirectory.open, further)]
+    folder = out / domain
+    if folder.resolve() in [one.path.resolve() for one in every]:
+        raise InputError(f"{folder}: the zoo would replace this run: give another --out")
     workshop = Workshop(every, measuring, ledger or run_dir.with_name(f"zoo-{domain}.csv"))
     chosen = choose(workshop, rules)
     archive = workshop.archive
-    found = [
+    places = [int(np.ravel_multi_index(cell, archive.shape)) for cell in chosen.values()]
+    rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
+    columns = as_generated(run, {name: one[rows] for name, one in archive.columns.items()})
+    found = tuple(
         NamedGenerator(
             rule.name,
             rule.about,
             cell,
-            0.0,  # until it is evaluated below
+            tidy(columns["objective"][row]),
             tuple(workshop.measure(cell, shape) for shape in workshop.shapes),
         )
-        for rule, cell in chosen.items()
-    ]
-    collection = Collection(domain, origin_of(workshop, domain), tuple(found))
-    folder = out / domain
+        for row, (rule, cell) in enumerate(chosen.items())
+    )
+    collection = Collection(domain, origin_of(workshop, domain), found)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     for name in FILES:
         shutil.copyfile(run.path / name, folder / name)
-    places = [int(np.ravel_multi_index(one.cell, archive.shape)) for one in found]
-    rows = [int(np.flatnonzero(archive.columns["index"] == place)[0]) for place in places]
-    columns = as_generated(run, {name: one[rows] for name, one in archive.columns.items()})
     write_arrays(folder / "archive.npz", columns, compressed=True)
-    found = [
-        replace(one, objective=tidy(columns["objective"][row])) for row, one in enumerate(found)
-    ]
-    write_json(folder / TABLE, asdict(replace(collection, generators=tuple(found))))
+    write_json(folder / TABLE, asdict(collection))
     size = sum(path.stat().st_size for path in folder.iterdir())
     print(f"{folder}: {len(found)} generators, {size / 1e6:.2f} MB")
 

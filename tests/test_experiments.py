@@ -276,6 +276,8 @@ def test_zoo_chooses_measures_and_writes_the_same_files_again(small_run, tmp_pat
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     monkeypatch.setattr("experiments.ledger.simulate", None)  # nobody may simulate now
     zoo.main(small_run.path, how, tmp_path / "runs.csv", tmp_path / "zoo")
+    with pytest.raises(InputError, match="another --out"):
+        zoo.main(folder, how, tmp_path / "runs.csv", tmp_path / "zoo")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     with pytest.raises(InputError, match="too few elites"):
         zoo.choose(zoo.Workshop([small_run], how, tmp_path / "runs.csv"), rules * 3)
