@@ -96,7 +96,7 @@ def draw_racks_moved(found: Mapping[str, tuple[Array, Array]], agents: int, plan
         title=f"what moving racks brings, {agents} robots in the searches' short runs",
     )
     axes.grid()
-    style.add_legend(figure, *axes.get_legend_handles_labels())
+    style.add_legend(figure, axes)
     return figure
 
 

@@ -86,7 +86,7 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
     for axes in panels if down == 1 else panels[-1:]:
         axes.set_xlabel("evaluations")
     if len(groups) > 1:
-        style.add_legend(figure, *panels[0].get_legend_handles_labels())
+        style.add_legend(figure, panels[0])
     if any(len(group.runs) > 1 for group in groups):
         meaning = "lines: mean over runs, bands: its 95 % interval"
         figure.supxlabel(meaning, fontsize=style.SMALL, color=style.GREY)

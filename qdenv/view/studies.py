@@ -40,7 +40,7 @@ def draw_comparison(rows: Sequence[Row], width: float = PAGE) -> Figure:
         _draw_lines(above, rows, "smooth")
         _draw_lines(below, rows, "success")
         below.set_xlabel("agents")
-        style.add_legend(figure, *above.get_legend_handles_labels())
+        style.add_legend(figure, above)
     above.set(ylabel=_THROUGHPUT, ylim=(0, None))
     if width < style.ABREAST:
         meaning = meaning.replace(" above, ", " above,\n").replace(", over all", ",\nover all")
@@ -78,7 +78,7 @@ def draw_over_agents(rows: Sequence[Row], success: bool = False, width: float = 
     axes.set(xlabel="robots")
     axes.grid()
     if len(axes.containers) > 1:
-        style.add_legend(figure, *axes.get_legend_handles_labels())
+        style.add_legend(figure, axes)
     return figure
 
 
@@ -147,7 +147,7 @@ def draw_peaks(rows: Sequence[Row], peaks: Sequence[Peak], width: float = PAGE) 
     left.set(xlabel="agents", ylabel=f"mean {_THROUGHPUT}", ylim=(0, None), xlim=(0, None))
     left.set_title(f"all of {rows[0].runs} runs each; a star is a peak")
     left.grid()
-    style.add_legend(figure, *left.get_legend_handles_labels())
+    style.add_legend(figure, left)
     ordered = sorted(peaks, key=lambda peak: peak.rows * peak.cols)
     places = range(len(ordered))
     right.bar(places, [peak.agents for peak in ordered], 0.6, color="#cfd8e3")

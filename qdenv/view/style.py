@@ -7,13 +7,11 @@ stacked. Legends stand outside of what they explain.
 import base64
 import io
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cycler import cycler
 from matplotlib import rc_context
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -122,8 +120,9 @@ def format_name(layout: str) -> str:
     return name if len(name) <= 28 else f"...{name[-28:]}"  # the end of a path says most
 
 
-def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str]) -> None:
-    """Put a legend above all axes of a figure, where it covers nothing."""
+def add_legend(figure: Figure, axes: Axes) -> None:
+    """Put a legend of what `axes` show above all axes of a figure, where it covers nothing."""
+    handles, labels = axes.get_legend_handles_labels()
     if not handles:
         return
     # A letter is about 0.56 of its height wide; the key and the gap behind it take 3.5 letters.

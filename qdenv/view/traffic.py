@@ -161,7 +161,7 @@ def draw_arrivals(arrivals: Mapping[str, np.ndarray], most: int, width: float) -
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.grid()
     if len(arrivals) > 1:
-        add_legend(figure, *axes.get_legend_handles_labels())
+        add_legend(figure, axes)
     return figure
 
 
