@@ -21,8 +21,8 @@ from qdenv.simulation.mapf.settings import MOST_STEPS, FleetConfig
 from qdenv.stats import Sample, sample_of, wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import fleet_tasks
-from qdenv.study.table import about, choose_capacity
-from qdenv.types import look_up
+from qdenv.study.table import choose_capacity
+from qdenv.types import about, look_up
 
 # Planners by name: ours at two efforts, the paper's by two rules.
 DRIVERS: Mapping[str, Any] = {

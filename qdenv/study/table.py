@@ -26,8 +26,7 @@ from qdenv.stats import (
 )
 from qdenv.study.options import fleet_tasks
 from qdenv.study.recordings import fading
-from qdenv.types import Floor, InputError, TaskRule, Traffic
-from qdenv.types import about as about
+from qdenv.types import Floor, InputError, TaskRule, Traffic, about
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
 # Agents of the smallest compiled program: a smaller one saves less than it costs to compile.

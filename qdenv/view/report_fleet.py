@@ -15,9 +15,9 @@ from qdenv.study.diagnosis import diagnose
 from qdenv.study.options import fleet_tasks, usual_fleet
 from qdenv.study.plans import name_guidance
 from qdenv.study.recordings import FADING, cells_with_half
-from qdenv.study.table import Row, Trial, about, compare, decide, find_capacity, find_peak
+from qdenv.study.table import Row, Trial, compare, decide, find_capacity, find_peak
 from qdenv.study.traffic import Study, examine, facts_of
-from qdenv.types import Floor
+from qdenv.types import Floor, about
 from qdenv.view.change import draw_change
 from qdenv.view.guidance import STRONGEST, draw_arrows, share_along
 from qdenv.view.layouts import draw_plan

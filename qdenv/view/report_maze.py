@@ -11,7 +11,7 @@ from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.simulation.maze.policy import load_weights
 from qdenv.simulation.maze.world import WALL
-from qdenv.study.table import about
+from qdenv.types import about
 from qdenv.view.layouts import draw_marks, draw_plan
 from qdenv.view.page import Page, listed
 from qdenv.view.report import WIDTH, make_report
