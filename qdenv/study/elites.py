@@ -348,9 +348,9 @@ def tile(
 ) -> Sized:
     """Tile a small plan to a larger shape and repair it, with its costs of moves (section E.4).
 
-    The frame is drawn again.
-    Numbers of tiles that are left out are those known of the size, or else the small layout's,
-    scaled with the area. Raises InputError if the size is impossible, or no repair was found.
+    The frame is drawn again. Numbers of tiles that are left out are those known of the size, or
+    else the small layout's, scaled with the area. Raises InputError if the size is impossible, or
+    no repair was found.
     """
     larger = plan.domain.fitted(plan.layout).resized(*shape, numbers)
     tiled = np.asarray(larger.frame(repeat(plan.layout, larger)))
