@@ -36,7 +36,6 @@ from qdenv.stats import Difference, paired_difference
 from qdenv.study.engine import run_seeds
 from qdenv.study.guides import best_base, guide_config
 from qdenv.study.plans import Plan, guide, with_tasks
-from qdenv.study.recordings import map_run
 from qdenv.types import RepairStatus
 
 # Folder of a search -> how people call it, and its share of the time; the rest is for judging.
@@ -199,15 +198,8 @@ def mean_throughput(plan: Plan, fleet: FleetConfig, seeds: Sequence[int]) -> np.
 
 def map_usage(plan: Plan, fleet: FleetConfig) -> np.ndarray:
     """Simulate a plan once: the share of time in which a robot is on each cell, float [H, W]."""
-    tasks, shape = plan.domain.simulator.tasks, plan.layout.shape
-    done = run_seeds(
-        plan.floor,
-        tasks,
-        fleet,
-        _PILOTS[:1],
-        read=lambda seed, run, recording: map_run(shape, run, recording).usage,
-    )
-    return done.readings[0]
+    (run,) = run_seeds(plan.floor, plan.domain.simulator.tasks, fleet, _PILOTS[:1]).runs
+    return fleet.agents * np.asarray(run.usage)
 
 
 def list_candidates(plan: Plan, folder: Path, section: str, lanes: np.ndarray | None) -> list[Plan]:
