@@ -1,16 +1,17 @@
 """Types with ranges: what a setting may be is stated where it is declared, and checked in one way.
 
 A record whose fields have such types derives from `Ranged`, which checks them wherever its values
-come from: a command line, a file, Python.
+come from: a command line, a file, Python. `checked` does the same for the arguments of a function.
 """
 
+import inspect
 import math
 import operator
 import re
-from collections.abc import Iterator
-from functools import cache
-from numbers import Real
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Iterator
+from functools import cache, wraps
+from numbers import Integral, Real
+from typing import Annotated, Any, Literal, Unpack, get_args, get_origin, get_type_hints
 
 from annotated_types import Interval
 
@@ -56,11 +57,13 @@ class Ranged:
 
 
 def check_range(name: str, value: Any, kind: Any) -> None:
-    """Raise InputError if a number, or one of a tuple, lies outside the `Interval` of its type."""
+    """Raise InputError if a number, or one of a tuple, is none of those its `Interval` allows."""
     label = name.replace("_", "-")
-    for number, interval in _pairs(value, kind):
-        if not isinstance(number, Real):
+    for number, base, interval in _pairs(value, kind):
+        if isinstance(number, bool) or not isinstance(number, Real):
             raise InputError(f"{label} must be a number, not {number!r}")
+        if base is int and not isinstance(number, Integral):
+            raise InputError(f"{label} must be an integer, not {number}")
         if isinstance(number, int) and number.bit_length() > _MOST_BITS:  # a float may not hold it
             raise InputError(f"{label} must have at most {_MOST_BITS} bits")
         for bound, holds, phrase in _LIMITS:
@@ -68,6 +71,44 @@ def check_range(name: str, value: Any, kind: Any) -> None:
             if limit is not None and not holds(number, limit):
                 expected = f"{phrase} {limit}" if math.isfinite(number) else "a finite number"
                 raise InputError(f"{label} must be {expected}, not {number}")
+
+
+def bind_call(function: Callable, *values: Any, **named: Any) -> inspect.BoundArguments:
+    """Bind a call's arguments; InputError if a number is none of those that its type allows.
+
+    Those of ``**options: Unpack[Record]`` have the types of the record's fields.
+    """
+    arguments = inspect.signature(function).bind(*values, **named)
+    stated, kinds = dict(arguments.arguments), _type_hints(function, include_extras=True)
+    for name, kind in kinds.items():
+        if get_origin(kind) is Unpack:
+            stated |= stated.pop(name, {})
+            kinds = kinds | _type_hints(get_args(kind)[0], include_extras=True)
+    for name, value in stated.items():
+        check_range(name, value, kinds.get(name))
+    return arguments
+
+
+@cache
+def checked(function: Callable) -> Callable:
+    """Make the same function, which checks its arguments as `bind_call` does before it begins.
+
+    Numbers may be NumPy's.
+    """
+
+    @wraps(function)
+    def call(*values: Any, **named: Any) -> Any:
+        values = tuple(map(_plain, values))
+        bound = bind_call(function, *values, **{name: _plain(one) for name, one in named.items()})
+        return function(*bound.args, **bound.kwargs)
+
+    return call
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return value
+    return int(value) if isinstance(value, Integral) else float(value)
 
 
 def read_range(name: str, value: Any) -> tuple[int, int]:
@@ -87,18 +128,20 @@ def _has_range(kind: Any) -> bool:
     )
 
 
-def _pairs(value: Any, kind: Any) -> Iterator[tuple[Any, Interval]]:
-    """List each number in a value with the range that its type states."""
+def _pairs(value: Any, kind: Any) -> Iterator[tuple[Any, Any, Interval]]:
+    """List each number in a value with its type and the range that this states."""
     parts = get_args(kind)
     if get_origin(kind) is Annotated:
         ranges = [part for part in parts if isinstance(part, Interval)]
-        yield from ((value, one) for one in ranges)
+        yield from ((value, parts[0], one) for one in ranges)
         if not ranges:
             yield from _pairs(value, parts[0])
     elif get_origin(kind) is tuple:
         kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
         for one, its_kind in zip(value, kinds, strict=False):
             yield from _pairs(one, its_kind)
-    elif value is not None and not isinstance(value, str):
+    elif value is not None and not (
+        isinstance(value, str) and any(one is str or get_origin(one) is Literal for one in parts)
+    ):
         # One of several types: at most one of ours has a range.
         yield from (pair for part in parts if _has_range(part) for pair in _pairs(value, part))

@@ -104,6 +104,34 @@ def test_repair_and_check_take_numbers_by_name(path):
         qdenv.repair(path, shelves=70)
 
 
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({"timesteps": 0}, "timesteps must be at least 1, not 0"),
+        ({"timesteps": 2.0}, r"timesteps must be an integer, not 2\.0"),
+        ({"agents": True}, "agents must be a number, not True"),
+        ({"agents": "3"}, "agents must be a number, not '3'"),
+        ({"width": -3.0}, "width must be above 0"),
+        ({"seeds": 3.0}, r"seeds '3\.0': write"),
+        ({"tasks": {"demand": None}}, "demand: give an array"),
+        ({"tasks": {"drop": {"w": 3}}}, "drop .*: write one number"),
+        ({"tasks": {"pick": 1.5}}, r"pick must be an integer, not 1\.5"),
+    ],
+)
+def test_python_checks_what_the_command_line_does(stated, said):
+    hall = parse(("w.e", "..@", "..e"), ".@ew#io")
+    with pytest.raises(InputError, match=said):
+        qdenv.simulate(hall, domain="hall", **{"agents": 2} | stated)
+
+
+def test_numbers_may_be_of_numpy(path):
+    small = {"timesteps": np.int64(20), "seeds": np.array([3, 5])}
+    table = qdenv.compare(str(path), np.array([2, 3]), **small)
+    assert table.facts["settings"]["agents"] == [2, 3]
+    with pytest.raises(InputError, match="names a number twice"):
+        qdenv.compare(str(path), [2, 2], **small)
+
+
 def test_mistakes_of_python_get_one_line_too(path):
     with pytest.raises(InputError, match=r"^plan: a layout of warehouse-uneven"):
         qdenv.evaluate_agent(qdenv.read_plan(path))

@@ -131,7 +131,7 @@ def in_a_run(plan):
 MISTAKES = {
     ("--drop", "x=3"): "drop 'x=3': write one number, or i=20,o=5, of the stations w i o",
     ("--drop", "i=-3"): "drop must be at least 0, not -3",
-    ("--drop", "1.5"): "drop must be whole timesteps, not 1.5",
+    ("--drop", "1.5"): "drop must be an integer, not 1.5",
     ("--pick", "1001"): "pick must be at most 1000, not 1001",
     ("--shares", "i=0,o=0"): "shares must be above 0 for one kind of station or more",
     ("--shares", "i=1e39,o=1"): "shares must be at most 1000000.0, not 1e+39",

@@ -80,9 +80,7 @@ class HallConfig(BuiltConfig):
         """Refuse times and shares of stations that there are not."""
         super().__post_init__()
         for time in _by_station(self.drop, "drop").values():
-            check_range("drop", time, Stay)
-            if time != int(time):
-                raise InputError(f"drop must be whole timesteps, not {time:g}")
+            check_range("drop", int(time) if time.is_integer() else time, Stay)
         shares = [share for share in _by_station(self.shares, "shares").values() if share]
         if self.shares and not shares:
             raise InputError("shares must be above 0 for one kind of station or more")

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
+from annotated_types import Interval
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
@@ -97,7 +98,8 @@ DomainName: TypeAlias = Annotated[str | None, arg(metavar=DOMAIN_NAMES)]
 Seeds: TypeAlias = Annotated[int | Sequence[int], option("N|SEED,...", parse_seeds)]
 # On command lines agents are robots as well: people who plan halls say so
 _ROBOTS = arg(aliases=("--robots",))
-Agents: TypeAlias = Annotated[int | None, _ROBOTS]
+# Too many for a layout are refused with the number of its cells
+Agents: TypeAlias = Annotated[Annotated[int, Interval(ge=1)] | None, _ROBOTS]
 # One number of agents or several; on command lines 200 or 50,100 or 50:400:50
 Counts: TypeAlias = Annotated[
     int | Sequence[int] | None, option("N|N,...|FIRST:LAST:STEP", parse_counts), _ROBOTS
@@ -107,7 +109,7 @@ Out: TypeAlias = Annotated[str | Path | None, option("FILE", Path)]
 # A picture to write; ``--plot`` without a name is `AUTO`
 Picture: TypeAlias = Annotated[str | Path | None, option("[FILE]", Path)]
 # Of a picture, in inches; on command lines also column or page of a journal
-Width: TypeAlias = Annotated[float | None, option("{column,page,INCHES}", parse_width)]
+Width: TypeAlias = Annotated[PositiveFloat | None, option("{column,page,INCHES}", parse_width)]
 # How many there are to be: 1100, or "1000:1200"
 Range: TypeAlias = Annotated[
     int | str, option("N|LOW:HIGH", lambda word: int(word) if word.isdecimal() else word)
@@ -123,7 +125,7 @@ PlanFile: TypeAlias = Annotated[Any, option("FILE", Path)]
 Folder: TypeAlias = Annotated[
     str | Path | None, option("FOLDER", Path), arg(name="out", aliases=("--run-dir",))
 ]
-RepairSeed: TypeAlias = Annotated[int, arg(aliases=("--repair-seed",))]
+RepairSeed: TypeAlias = Annotated[NonNegativeInt, arg(aliases=("--repair-seed",))]
 OnCommandLine: TypeAlias = Annotated[bool, Mark.TRUE]
 # Costs of moves by name or file, in Python also float [5, H, W], see `guidance`
 Guidance: TypeAlias = Annotated[Any, option("FILE|NAME", str)]

@@ -18,7 +18,7 @@ from qdenv.run.directory import RunDirectory
 from qdenv.shipped import PREFIX, file_name
 from qdenv.simulation.mapf.settings import OWN, PLANNERS, record_planner
 from qdenv.study import recordings as studies
-from qdenv.study.options import fleet_tasks, parse_seeds
+from qdenv.study.options import fleet_tasks, parse_counts, parse_seeds
 from qdenv.study.plans import Plan, name_guidance
 from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
@@ -253,8 +253,7 @@ def report(
     require_package("pages", "jinja2")
     given = list(sources) if isinstance(sources, list | tuple) else [sources]
     target = place(out, "report.html", (".html",), given)
-    counts = (agents,) if isinstance(agents, int) else tuple(agents or ())
-    options, subjects = args.Fleet(fleet), []
+    counts, options, subjects = parse_counts(agents), args.Fleet(fleet), []
     for one in given:
         named = isinstance(one, str | Path)
         if isinstance(one, RunDirectory) or (

@@ -16,7 +16,7 @@ from qdenv.progress import Bar, Progress
 from qdenv.simulation.mapf.settings import PLANNERS, check_costs, record_planner
 from qdenv.stats import Difference
 from qdenv.study import table as studies
-from qdenv.study.options import AGENTS, usual_fleet
+from qdenv.study.options import AGENTS, parse_counts, usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import FADING
 from qdenv.types import InputError
@@ -171,9 +171,10 @@ class _Fleets:
         which 200 agents are usual. `name` is that of the table, unless `study` states another. The
         planners of `study` may be `several`.
         """
+        layouts = list(layouts) if isinstance(layouts, list | tuple) else [layouts]
         fleets = args.each_planner(study) if several else [args.Fleet(study, args.StudyOptions)]
         options, self._width = fleets[0], study.get("width") or PAGE
-        stated = (agents,) if isinstance(agents, int) else tuple(agents or ())
+        stated = parse_counts(agents)
         options.config(max(stated, default=1))  # refuses what makes no simulation
         self.inputs = [*layouts, *options.inputs]
         out, plot = study.get("out"), study.get("plot")

@@ -1,10 +1,10 @@
 """Options of studies: seeds, numbers of agents, what must stay, what a known size gives."""
 
 import os.path
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -32,7 +32,8 @@ def parse_seeds(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
     Raises InputError if there is no seed, one is named twice, or one is out of range.
     """
     # A comma makes it a list: "7," is the seed 7, "7" are seven seeds.
-    text = str(seeds) if isinstance(seeds, int | str) else "".join(f"{one}," for one in seeds)
+    one = isinstance(seeds, str) or not isinstance(seeds, Iterable)
+    text = str(seeds) if one else "".join(f"{seed}," for seed in cast(Iterable, seeds))
     try:
         numbers = [int(part) for part in text.split(",") if part.strip()]
     except ValueError:
@@ -48,12 +49,15 @@ def parse_seeds(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
     return tuple(range(numbers[0]))
 
 
-def parse_counts(text: str) -> tuple[int, ...]:
-    """Read numbers of agents: "200", "50,100", or "50:400:50", a range with its end.
+def parse_counts(agents: int | str | Sequence[int] | None) -> tuple[int, ...]:
+    """Read numbers of agents: 200, (50, 100), "50,100", or "50:400:50", a range with its end.
 
-    Raises InputError if it is none of the three, a count is below one or named twice, or there are
-    too many.
+    None are none. Raises InputError if it is none of these, a count is below one or named twice, or
+    there are too many.
     """
+    if agents is None:
+        return ()
+    text = ",".join(map(str, np.atleast_1d(agents).tolist()))
     counts: Sequence[int]
     try:
         if ":" in text:

@@ -163,6 +163,8 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
         if name not in domain.task_settings:
             known = ", ".join(domain.task_settings) or "none"
             raise InputError(f"{domain.name} has no setting {name!r} of tasks: it has {known}")
+        if isinstance(getattr(domain.config, name), str):  # stations' numbers, or one for all
+            changes[name] = str(changes[name])
     demand = changes.get("demand", ())
     if isinstance(demand, str) and demand == BY_SHELF[0]:
         changes["demand"] = demand = BY_SHELF
@@ -172,7 +174,12 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
         endpoints = np.asarray(plain.cycle[0].weight(plan.layout)) > 0
         if isinstance(demand, str | Path):
             demand = read_demand(demand, endpoints)
-        changes["demand"] = rows_of_odds(np.asarray(demand, float))
+        odds = np.asarray(demand, float)
+        if odds.shape != plan.layout.shape:
+            raise InputError(
+                f"demand: give an array of {plan.layout.shape}, a number for each cell"
+            )
+        changes["demand"] = rows_of_odds(odds)
     if changes.get("demand", BY_SHELF) not in ((), BY_SHELF):  # a map of places fits one size
         changes |= dict(zip(("rows", "cols"), plan.layout.shape, strict=True))
     return plan._replace(domain=make_domain(replace(domain.config, **changes)))
