@@ -131,6 +131,13 @@ def test_bad_guidance_is_refused_in_one_line(name, content, reason, tmp_path):
     assert str(path) in str(error.value) and str(error.value).isprintable()
 
 
+def test_a_plan_with_impossible_costs_is_refused_where_it_is_read(tmp_path):
+    path = tmp_path / "plan.csv"
+    path.write_text("\n".join([*LINES[:3], "2,.,0,2,inf,inf,nan,inf,1"]))
+    with pytest.raises(InputError, match="above zero, and finite for waiting"):
+        read_plan(path)
+
+
 def test_unknown_names_are_refused():
     with pytest.raises(InputError, match="unknown guidance 'criscross': did you mean crisscross"):
         guide(PLAN, "criscross")

@@ -28,7 +28,7 @@ TABLE_HEAD = ",".join((*_NAMES, *_MOVES))  # the first line of a CSV file
 def costs_of(weights: Sequence[float], traversable: np.ndarray) -> np.ndarray:
     """Spread a list of weights over the moves of a floor (bool [H, W] -> float [5, H, W]).
 
-    Raises InputError if they are not as many as the floor's moves.
+    Raises InputError if they are not as many as the floor's moves, or no costs of them.
     """
     exists = np.moveaxis(existing_moves(traversable)[_ORDER], 0, -1)
     free, moves, values = int(traversable.sum()), int(exists.sum()), np.array(weights, float)
@@ -38,6 +38,8 @@ def costs_of(weights: Sequence[float], traversable: np.ndarray) -> np.ndarray:
             f"{moves} moves, and 1 or {free} costs of waiting come first"
         )
     values[values == _NOT_ALLOWED] = np.inf
+    if not (values > 0).all() or np.isinf(values[: len(values) - moves]).any():
+        raise InputError("costs of moves are above zero, and finite for waiting")
     ways = np.full(exists.shape, np.inf)
     ways[exists] = values[-moves or len(values) :]
     costs = np.full((NUM_MOVES, *traversable.shape), np.inf)
