@@ -23,6 +23,8 @@ def test_a_table_of_the_plans_shape(tmp_path):
     path.write_text("1;2;0,5;;0\n0;0;4;0;0\n\n0;3;0;0;0\n0;0;0;0;0\n")
     expected = [[1, 2, 0.5, 0, 0], [0, 0, 4, 0, 0], [0, 3, 0, 0, 0], [0] * 5]
     np.testing.assert_array_equal(read_demand(path, ENDPOINTS), expected)
+    path.write_text("\n".join([";".join(["0,5"] * 5)] * 4))  # more commas than semicolons
+    assert (read_demand(path, ENDPOINTS) == 0.5).all()
     path.write_text(",,,,\n1,2,3,4,5\n,,,,\n,,,,\n\n")
     assert read_demand(path, ENDPOINTS).sum(1).tolist() == [0, 15, 0, 0], "empty cells are 0"
 

@@ -159,6 +159,8 @@ def split_cells(path: Path, lines: Sequence[str]) -> list[list[str]]:
     """
     counts = {one: sum(line.count(one) for line in lines) for one in _DELIMITERS}
     delimiter = max(_DELIMITERS, key=counts.__getitem__)
+    if counts[";"] and not "".join(lines).strip("0123456789+-eE.,; "):  # the commas are decimal
+        delimiter = ";"
     if lines and lines[0].lower().startswith("sep="):  # Excel's own hint
         hint, *lines = lines
         delimiter = hint[4:5] if hint[4:5] in (*_DELIMITERS, "|") else delimiter
