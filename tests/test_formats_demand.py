@@ -65,6 +65,8 @@ BAD = {
     "": "empty",
     "row,col\n3,3": "row 3, column 3 is neither an endpoint of the plan nor beside one",
     "row,col\n0,0\n1.5,0": "line 3: row and column must be whole numbers",
+    "row,col\n-1,0": "line 2: row -1, column 0 is off the plan of 4 x 5 cells: count both",
+    "row,col\n0,0\n1,5": "line 3: row 1, column 5 is off the plan",
     "row,quantity\n0,1": "no column column",
     "place\nA1": "place 'a1' is unknown: name a second file",
 }

@@ -59,7 +59,7 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
     lines = [line for line in table if any(line[1])]
     with about(orders):
         if "row" in lines[0][1] or "place" in lines[0][1]:
-            return _spread(_count(lines, places), endpoints)
+            return _spread(_count(lines, places, endpoints.shape), endpoints)
         if places:
             raise InputError("no column place in its first line, which a file of places is for")
         rows = [
@@ -108,7 +108,9 @@ def _cells(path: Path) -> list[tuple[int, list[str]]]:
     return [line for line in lines if len(line[1]) > 1 or any(line[1])]
 
 
-def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int], float]:
+def _count(
+    table: list[tuple[int, list[str]]], file: str, shape: tuple[int, ...]
+) -> dict[tuple[int, int], float]:
     """Count the order lines of each cell (row, column); a `file` may say where places are."""
     places: dict[str, tuple[int, int]] = {}
     if file:
@@ -131,10 +133,13 @@ def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int
                     f"line {line}: place {place!r} is unknown: name a second file with place, row "
                     "and column, as orders.csv,places.csv"
                 )
-            cell = places[place]
+            row, column = places[place]
         else:
-            cell = _cell(cells, columns, line)
-        counts[cell] += _number(cells[amounts[0]], f"line {line}") if amounts else 1
+            row, column = _cell(cells, columns, line)
+        if not (0 <= row < shape[0] and 0 <= column < shape[1]):
+            place = f"row {row}, column {column} is off the plan of {shape[0]} x {shape[1]} cells"
+            raise InputError(f"line {line}: {place}: count both from 0")
+        counts[row, column] += _number(cells[amounts[0]], f"line {line}") if amounts else 1
     return counts
 
 
