@@ -50,6 +50,9 @@ def test_order_lines_count_at_endpoints_and_shelves_share_theirs(tmp_path):
     assert (odds[0, 0], odds[1, 2], odds[2, 1]) == (2, 1, 0)
     places.write_text("row,column,place\n0,0,A-1\n1,2,A-2\n1,2\n,,\n")
     np.testing.assert_array_equal(read_demand(f"{orders},{places}", ENDPOINTS), odds)
+    places.write_text("row,column,place\n0,0,A-1\n1,2,a-2\n1,2,A-2\n2,1,a-1\n")
+    with pytest.raises(InputError, match=r"places.csv: line 5: place 'a-1' has another cell"):
+        read_demand(f"{orders},{places}", ENDPOINTS)
 
 
 BAD = {
@@ -67,6 +70,8 @@ BAD = {
     "row,col\n0,0\n1.5,0": "line 3: row and column must be whole numbers",
     "row,col\n-1,0": "line 2: row -1, column 0 is off the plan of 4 x 5 cells: count both",
     "row,col\n0,0\n1,5": "line 3: row 1, column 5 is off the plan",
+    "row,row,col\n0,0,0": "columns row and row in its first line mean the same: leave one out",
+    "row,col,count,quantity\n0,0,1,2": "columns count and quantity in its first line",
     "row,quantity\n0,1": "no column column",
     "place\nA1": "place 'a1' is unknown: name a second file",
 }

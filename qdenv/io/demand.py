@@ -28,6 +28,8 @@ from qdenv.io.layouts import read_drawing, split_cells
 from qdenv.lazy import ndimage
 from qdenv.types import InputError, about
 
+_CELL = (("row",), ("column", "col"))  # names of columns that mean the same
+_AMOUNT = ("count", "quantity")
 _FORM = "write zones as ROWS,COLUMNS=WEIGHT, like 0:10,0:20=3, or name a CSV file"
 
 
@@ -116,14 +118,18 @@ def _count(
     if file:
         (_, head), *lines = (line for line in _cells(Path(file)) if any(line[1]))
         with about(file):
-            name, *where = (_find(head, one) for one in ("place", "row", "column"))
-            # A line may end before the name.
-            places = {"".join(cells[name:][:1]): _cell(cells, where, line) for line, cells in lines}
+            name, *where = (_find(head, *names) for names in (("place",), *_CELL))
+            for line, cells in lines:
+                place = "".join(cells[name:][:1])  # a line may end before the name
+                cell = _cell(cells, where, line)
+                if places.setdefault(place, cell) != cell and place:
+                    also = "has another cell above: capital letters tell no names apart"
+                    raise InputError(f"line {line}: place {place!r} {also}")
     (_, head), *lines = table
     counts: dict[tuple[int, int], float] = defaultdict(float)
-    amounts = [index for index, name in enumerate(head) if name in ("count", "quantity")]
+    amount = _find(head, *_AMOUNT) if {*_AMOUNT} & {*head} else None
     by_name = bool(places) or "row" not in head
-    columns = [_find(head, one) for one in (["place"] if by_name else ["row", "column"])]
+    columns = [_find(head, *names) for names in ([("place",)] if by_name else _CELL)]
     for line, cells in lines:
         cells += [""] * (len(head) - len(cells))
         if by_name:
@@ -139,16 +145,19 @@ def _count(
         if not (0 <= row < shape[0] and 0 <= column < shape[1]):
             place = f"row {row}, column {column} is off the plan of {shape[0]} x {shape[1]} cells"
             raise InputError(f"line {line}: {place}: count both from 0")
-        counts[row, column] += _number(cells[amounts[0]], f"line {line}") if amounts else 1
+        counts[row, column] += 1 if amount is None else _number(cells[amount], f"line {line}")
     return counts
 
 
-def _find(head: list[str], name: str) -> int:
-    """Find a column; "col" is short for "column"."""
-    for index, cell in enumerate(head):
-        if cell in (name, *(["col"] if name == "column" else [])):
-            return index
-    raise InputError(f"no column {name} in its first line, which names the columns")
+def _find(head: list[str], *names: str) -> int:
+    """Find the column that has one of the names."""
+    found = [index for index, cell in enumerate(head) if cell in names]
+    if len(found) > 1:
+        both = " and ".join(head[index] for index in found)
+        raise InputError(f"columns {both} in its first line mean the same: leave one out")
+    if not found:
+        raise InputError(f"no column {names[0]} in its first line, which names the columns")
+    return found[0]
 
 
 def _cell(cells: list[str], columns: list[int], line: int) -> tuple[int, int]:
