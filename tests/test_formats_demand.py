@@ -112,10 +112,18 @@ def test_odds_are_written_and_read_back():
         (("1 2", "3 -4"), "0 or more"),
         (("1 2", "3 nan"), "0 or more"),
         (("1 2", "3 x"), "0 or more"),
+        (("1 2", "3 1e308"), r"at most 1e\+30"),
         (("0 0", "0 0"), "0 everywhere"),
     ):
         with pytest.raises(InputError, match=message):
             weigh(everywhere, rows, (2, 2))
+
+
+def test_odds_may_be_small():
+    odds = tuple(" ".join(["3e-9"] * 5) for _ in range(4))
+    rule = TaskRule(TILES, ".ewio", (weigh(tile_goal("e", TILES), odds, LAYOUT.shape),))
+    last = goal_table(LAYOUT, rule, LAYOUT.size).odds[0]
+    np.testing.assert_allclose(last, np.minimum(np.arange(1, 21) / ENDPOINTS.sum(), 1), rtol=1e-6)
 
 
 def test_goals_are_drawn_with_the_odds_of_their_places_and_kinds():

@@ -15,6 +15,7 @@ from qdenv.lazy import ndimage
 from qdenv.types import Array, Goal, InputError, TaskRule
 
 GoalOdds = Literal["endpoints", "stations"]
+_MOST_ODDS = 1e30  # of a cell: single precision holds the sum over a plan
 
 
 def tile_goal(symbol: str, tiles: str, stay: int = 0) -> Goal:
@@ -86,11 +87,12 @@ def weigh(goal: Goal, rows: Sequence[str], shape: tuple[int, int]) -> Goal:
             f"the demand has {len(lines)} x {cols} numbers, the plan {shape[0]} x {shape[1]} cells"
         )
     try:
-        odds = np.array(lines, np.float32)
+        exact = np.array(lines, float)
     except ValueError:
-        odds = np.full(shape, np.nan, np.float32)
-    if not (np.isfinite(odds) & (odds >= 0)).all():
-        raise InputError("each number of the demand must be 0 or more")
+        exact = np.full(shape, np.nan)
+    if not ((exact >= 0) & (exact <= _MOST_ODDS)).all():
+        raise InputError(f"each number of the demand must be 0 or more, at most {_MOST_ODDS:g}")
+    odds = exact.astype(np.float32)
     if not odds.any():
         raise InputError("the demand is 0 everywhere: no robot would have anything to do")
     return goal._replace(weight=lambda layout: odds * goal.weight(layout))

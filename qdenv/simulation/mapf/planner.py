@@ -140,7 +140,8 @@ def goal_table(layout: Array, rule: TaskRule, capacity: int) -> GoalTable:
     stays = [jnp.asarray(goal.stays(layout)).reshape(-1) for goal in rule.cycle]
     stays.append(jnp.zeros_like(stays[0]))
     service_time = jnp.stack(stays).astype(jnp.int32)[:, cells]
-    return GoalTable(cells, used, cumulated / jnp.maximum(total, 1e-6), service_time, complete)
+    odds = cumulated / jnp.where(total > 0, total, 1.0)
+    return GoalTable(cells, used, odds, service_time, complete)
 
 
 def draw_goals(table: GoalTable, kinds: jax.Array, seed: jax.Array) -> jax.Array:
