@@ -155,6 +155,7 @@ def read_csv_rows(path: Path) -> Drawing:
 def split_cells(path: Path, lines: Sequence[str]) -> list[list[str]]:
     """Split the lines of a CSV file into cells; the most frequent delimiter is the file's.
 
+    Semicolons separate a table of numbers that holds any; its commas are decimal.
     Raises DamagedError for what is no CSV, InputError for more columns than a layout may have.
     """
     counts = {one: sum(line.count(one) for line in lines) for one in _DELIMITERS}
