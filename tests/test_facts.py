@@ -167,3 +167,18 @@ def test_facts_of_other_domains():
     facts = 'domain = "warehouse-even"\nshelves = "3"'
     plan = read_plan(save(facts=facts, rows=["w.......w"] * 5))
     assert plan.fitted().config.shelves == 3, "a number in quotes is one"
+
+
+def test_converted_text_has_no_facts_of_an_older_plan_of_its_name(capsys):
+    save("small.txt", None, ["w....", ".eee.", ".@@@.", ".eee.", "....."])
+    save(facts=None, rows=TILES)
+    assert run(["convert", "small.txt", "new.txt", "--cell", "2"]) == 0
+    assert read_plan("new.txt").facts.cell == 2
+    assert run(["convert", "plan.txt", "new.txt"]) == 0
+    assert "new.toml (replaced)\n" in capsys.readouterr().out
+    assert read_plan("new.txt").facts.cell is None
+    # Facts that people wrote stay.
+    Path("own.toml").write_text("cell = 1.2\n")
+    assert run(["convert", "small.txt", "own.csv", "--cell", "3"]) == 0
+    assert "own.toml is not of qdenv: not replaced\n" in capsys.readouterr().out
+    assert Path("own.toml").read_text() == "cell = 1.2\n"

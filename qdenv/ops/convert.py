@@ -9,12 +9,11 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from qdenv.grid import draw
-from qdenv.io.facts import write_facts
 from qdenv.io.formats import FORMATS, find_writer, write_drawing
 from qdenv.io.guidance import weights_of
 from qdenv.io.layouts import Drawing, check_size, read_drawing
 from qdenv.ops import options as args
-from qdenv.ops.output import Result, place, say
+from qdenv.ops.output import Result, place, save_facts, say
 from qdenv.ranges import PositiveFloat
 from qdenv.study.plans import guide, read_plan
 from qdenv.types import Tile
@@ -73,9 +72,8 @@ def convert(
     own = {"facts": facts, "keep": plan.keep}
     details = {**drawing.details, **stated} | {name: one for name, one in own.items() if one}
     details |= {} if cell is None else {"cell": cell}
-    beside = None
-    if chosen in ("text", "csv") and (facts or plan.keep):
-        beside = write_facts(written.path, {"domain": found.name, **own})
+    if chosen in ("text", "csv"):
+        save_facts(written.path, {"domain": found.name, **own}, bool(facts or plan.keep))
         details = {name: one for name, one in details.items() if name not in {"cell", *own}}
     weights = None
     if plan.costs is not None:
@@ -92,5 +90,4 @@ def convert(
     left_out = write_drawing(written.path, drawing, meanings, format)
     lost = [f"{name}: {what} left out" for what in drawing.lost] + left_out
     say(*lost, f"{written}: {chosen}, {len(rows)} x {len(rows[0])}, {plan.whose}")
-    say(*filter(None, [beside]))
     return Result(file=str(written.path), format=chosen, left_out=lost)

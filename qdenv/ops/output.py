@@ -179,10 +179,8 @@ class Layout:
         lost = write_layout(path, self.layout, tiles, meanings, costs, **details)
         path = Path(path)
         if path.suffix.lower() in (".txt", ".csv"):
-            stale = path.with_suffix(".toml").exists()
-            if stale or facts or not is_plain(self.layout, self.domain):
-                beside = write_facts(path, own | ({"facts": facts} if facts else {}))
-                say(beside or f"{path.with_suffix('.toml')} is not of qdenv: not replaced")
+            needed = bool(facts) or not is_plain(self.layout, self.domain)
+            save_facts(path, own | ({"facts": facts} if facts else {}), needed)
         else:
             say(*lost)
         return path
@@ -214,6 +212,14 @@ class Layout:
 
         picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
         return picture + _table_html([self.facts])
+
+
+def save_facts(plan: Path, details: Mapping[str, Any], needed: bool) -> None:
+    """Write the facts beside text or CSV if they are `needed`, or others are there; log where."""
+    beside = Place(plan.with_suffix(".toml"), plan.with_suffix(".toml").exists())
+    if needed or beside.replaces:
+        ours = write_facts(plan, details)
+        say(beside if ours else f"{beside.path} is not of qdenv: not replaced")
 
 
 def save_with_picture(layout: Layout, target: Place | None, text: str = "") -> Layout:
