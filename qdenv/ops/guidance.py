@@ -138,7 +138,8 @@ def _show_guidance(
     moves = count_moves(record_fleet(guided, fleet)[0].positions, plan.layout.shape)
     title = f"{plan.name}, {fleet.agents} agents"
     save_figure(draw_guidance(free, unscaled, moves, title), path / PICTURE)
-    counts = sorted({min(round(share * fleet.agents), int(free.sum())) for share in _SHARES})
+    most = int(free.sum())
+    counts = sorted({min(max(round(share * fleet.agents), 1), most) for share in _SHARES})
     trial = studies.Trial(domain.simulator.tasks, fleet, counts, range(10))
     floors = {"before": plan._replace(costs=None).floor, "after": guided.floor}
     with Bar("simulating before and after") as bar:
