@@ -101,6 +101,20 @@ def test_what_stands_beside_a_file_is_not_what_is_read(plan, capsys):
     assert (folder / "a.map").read_bytes() == before
 
 
+def test_every_file_that_is_written_is_named_and_replaces_none_of_another_kind(plan, capsys):
+    target, road = plan.with_name("a.json"), plan.with_name("h.yaml")
+    for replaced in ("", " (replaced)"):
+        convert(plan, target, "--format", "lorr")
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[-3:] == [
+            f"{target.with_suffix(one)}{replaced}" for one in (".map", ".agents", ".tasks")
+        ]
+    convert(plan, road, "--format", "rmf")
+    before = road.read_bytes()
+    assert qdenv(["convert", str(plan), str(plan.with_name("h.pgm"))]) == 2
+    assert f"{road}: " in capsys.readouterr().err and road.read_bytes() == before
+
+
 def test_starts_and_tasks_go_from_one_benchmark_to_another(plan):
     folder = plan.parent
     convert(plan, folder / "a.json", "--format", "lorr")
@@ -180,9 +194,9 @@ def test_problems_and_scenarios_come_back(tmp_path):
     assert len(read_drawing(tmp_path / "ours.json").tasks) == 160
     for name in ("random-32-32-20.map", "random-32-32-20-random-1.scen"):
         shutil.copy(FILES / f"planviz_{name}", tmp_path / name)
-    convert(tmp_path / name, tmp_path / "ours.scen")
-    same(tmp_path / name, tmp_path / "ours.scen")
-    first = (tmp_path / "ours.scen").read_text().splitlines()[1].split("\t")
+    convert(tmp_path / name, tmp_path / "scenario.scen")
+    same(tmp_path / name, tmp_path / "scenario.scen")
+    first = (tmp_path / "scenario.scen").read_text().splitlines()[1].split("\t")
     assert first[2:8] == (tmp_path / name).read_text().splitlines()[1].split("\t")[2:8]
 
 

@@ -9,6 +9,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from qdenv.types import InputError, Tile, choices
@@ -23,7 +24,8 @@ class Format(NamedTuple):
     module: str  # of the two functions
     read: str = ""  # name of a function; "" where the format is only written
     write: str = ""  # name of another; "" where the format is only read
-    beside: tuple[str, ...] = ()  # endings of files that are written beside
+    # endings of the files that are written beside one with such an ending
+    beside: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
 
 _LAYOUTS, _MAPS = "qdenv.io.layouts", "qdenv.io.maps"
@@ -40,10 +42,11 @@ FORMATS: dict[str, Format] = {
     "text": Format({".txt": ()}, _LAYOUTS, "read_text_rows", "write_text_rows"),
     "csv": Format({".csv": ("weights",)}, _LAYOUTS, "read_csv_rows", "write_csv_rows"),
     "movingai": Format({".map": ()}, _MAPS, "read_map", "write_movingai"),
-    "scen": Format({".scen": _ROBOTS}, _MAPS, "read_scen", "write_scen", (".map",)),
+    "scen": Format({".scen": _ROBOTS}, _MAPS, "read_scen", "write_scen", {".scen": (".map",)}),
     "lorr": Format(  # the League of Robot Runners
         {".json": (*_ROBOTS, "details"), ".map": ()},
-        *(_MAPS, "read_lorr", "write_lorr", (".map", ".agents", ".tasks")),
+        *(_MAPS, "read_lorr", "write_lorr"),
+        {".json": (".map", ".agents", ".tasks")},
     ),
     "rhcr": Format(
         {".grid": ("weights", "starts"), ".map": ("starts", "maxtime")},
@@ -59,7 +62,9 @@ FORMATS: dict[str, Format] = {
     "rmf": Format({".yaml": _LANES}, _ROADS, "", "write_rmf"),
     "nav2": Format({".geojson": _LANES}, _ROADS, "", "write_nav2"),
     "ros": Format(
-        {".pgm": ("cell",), ".yaml": ("cell",)}, _ROADS, "", "write_ros", (".yaml", ".pgm")
+        {".pgm": ("cell",), ".yaml": ("cell",)},
+        *(_ROADS, "", "write_ros"),
+        {".pgm": (".yaml",), ".yaml": (".pgm",)},
     ),
 }
 ALL_ENDINGS = tuple(dict.fromkeys(ending for one in FORMATS.values() for ending in one.endings))

@@ -16,7 +16,7 @@ from qdenv.ops import options as args
 from qdenv.ops.output import Result, place, save_facts, say
 from qdenv.ranges import PositiveFloat
 from qdenv.study.plans import guide, read_plan
-from qdenv.types import Tile
+from qdenv.types import InputError, Tile
 
 _READ = "{" + ",".join(name for name, one in FORMATS.items() if one.read) + "}"
 _WRITTEN = "{" + ",".join(name for name, one in FORMATS.items() if one.write) + "}"
@@ -59,10 +59,12 @@ def convert(
         drawing, plan = Drawing([]), args.read_plan(layout, domain)
     chosen = find_writer(Path(target), format)
     inputs = [layout, guidance]
-    written = place(target, "", (Path(target).suffix.lower(),), inputs)
-    assert written is not None
-    for ending in FORMATS[chosen].beside:  # they must not overwrite what is read either
-        place(written.path.with_suffix(ending), "", (ending,), inputs)
+    files, endings = [Path(target)], FORMATS[chosen].beside.get(Path(target).suffix.lower(), ())
+    files += [Path(target).with_suffix(ending) for ending in endings]
+    places = (place(file, "", (file.suffix.lower(),), inputs) for file in files)
+    written, *beside = filter(None, places)
+    if (taken := [one.path for one in beside if one.replaces]) and not written.replaces:
+        raise InputError(f"{taken[0]}: {written} would replace it: choose another name")
     plan, found = guide(plan, guidance), plan.domain
     check_size(*plan.layout.shape)
     stated = {} if plan.assumed else {"domain": found.name}
@@ -89,5 +91,5 @@ def convert(
     drawing = drawing._replace(rows=rows, weights=weights, details=details)
     left_out = write_drawing(written.path, drawing, meanings, format)
     lost = [f"{name}: {what} left out" for what in drawing.lost] + left_out
-    say(*lost, f"{written}: {chosen}, {len(rows)} x {len(rows[0])}, {plan.whose}")
+    say(*lost, f"{written}: {chosen}, {len(rows)} x {len(rows[0])}, {plan.whose}", *beside)
     return Result(file=str(written.path), format=chosen, left_out=lost)
