@@ -200,11 +200,23 @@ def test_the_page_states_table_4_and_how_its_rows_compare():
 def test_the_page_states_what_fleets_move():
     moved = {(*row[:3], row[4][:3]): row[6] for row in table("table_5")}
     for (_, maker, *_), text in moved.items():
-        if ("zoo" in maker or "alpha" in maker) and "+-" in text:
+        if maker != "CMA-ES + NCA" and "+-" in text:
             assert text.replace("+-", "±") in PAGE
     ours, theirs = next((row[6], row[7]) for row in table("table_5") if "alpha = 0" in row[1])
     more = 100 * (float(theirs.split()[0]) / float(ours[:5]) - 1)
     assert f"paper {theirs}, **{more:.1f} % more**), with alpha = 1" in PAGE
+    plain = float(moved["warehouse-even", "CMA-MAE + NCA", "101 x 102", "our"].split()[0])
+    theirs = TRAFFIC["warehouse-even", "nca", 1400].throughput
+    assert f"(paper {theirs}, **{100 * (theirs / plain - 1):.1f} % more**)" in PAGE
+    runs = rows("traffic/makers-warehouse-even.csv", layout="warehouse-even-cma-mae-101x102")
+    good = [row["congested"] == "False" for row in runs if row["planner"] == "published"]
+    assert not any(good) and f"none of {len(good)} does" in PAGE
+    small, large = (
+        json.loads((RESULTS / "layouts" / f"warehouse-even-cma-mae-{size}.json").read_text())
+        for size in ("33x36", "101x102")
+    )
+    text = f"repair changed {small['changed']} cells at 33 × 36, {large['changed']:,} at 101 × 102"  # noqa: RUF001
+    assert text in " ".join(PAGE.split())
     row = next(row for row in table("table_5") if row[1:3] == ["CMA-ES + NCA", "101 x 102"])
     good, runs = row[5].split(" ")[0].split("/")
     assert f" {good} of {runs} do)" in PAGE
