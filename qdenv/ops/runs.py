@@ -247,6 +247,8 @@ def series(
     shapes = [studies.parse_size(text) for text in sizes] or list(studies.SIZES)
     for shape in shapes:
         check_size(*shape)
+        if shapes.count(shape) > 1:
+            raise InputError("size {}x{} twice: name each once".format(*shape))
     folder = None if out is None else place_folder(out, "series")
     stated, grown, layouts = [*numbers, *(["steps"] if steps else [])], [], []
     for item in studies.grow_sizes(opened, elite, shapes, steps, numbers, seed, rules):
