@@ -188,11 +188,16 @@ def _run_command(name: str, typed: list[str]) -> int:
         if isinstance(layouts := arguments.get("layouts"), tuple):  # named twice, it is one
             arguments["layouts"] = tuple(dict.fromkeys(layouts))
         target, to_stdout = None, facts_file == Path("-")
+        # What is read is compared where places are chosen.
+        others = {name: one for name, one in arguments.items() if name not in ("layout", "layouts")}
+        named = [*flat(others), None if to_stdout else facts_file]
+        paths = [one for one in named if isinstance(one, Path) and one != AUTO]
+        files = [*map(os.path.realpath, paths)]
+        for path, file in zip(paths, files, strict=True):
+            if files.count(file) > 1:
+                raise InputError(f"{path}: named twice: what is written needs a name of its own")
         if not to_stdout:
-            values = [*flat(arguments)]
-            if facts_file and facts_file in values:
-                raise InputError(f"{facts_file}: named twice: give the facts a file of their own")
-            target = place(facts_file, "facts.json", inputs=values)
+            target = place(facts_file, "facts.json", inputs=flat(arguments))
         # Nothing but the facts is written to standard output if they are written there.
         with contextlib.redirect_stdout(sys.stderr if to_stdout else sys.stdout), _printing():
             try:
