@@ -189,12 +189,14 @@ def _run_command(name: str, typed: list[str]) -> int:
             arguments["layouts"] = tuple(dict.fromkeys(layouts))
         target, to_stdout = None, facts_file == Path("-")
         # What is read is compared where places are chosen.
-        others = {name: one for name, one in arguments.items() if name not in ("layout", "layouts")}
-        named = [*flat(others), None if to_stdout else facts_file]
-        paths = [one for one in named if isinstance(one, Path) and one != AUTO]
-        files = [*map(os.path.realpath, paths)]
-        for path, file in zip(paths, files, strict=True):
-            if files.count(file) > 1:
+        named = arguments | arguments.get("study", {}) | {"json": None if to_stdout else facts_file}
+        files = [
+            (one, os.path.realpath(one))
+            for name, one in named.items()
+            if isinstance(one, Path) and name != "layout" and one != AUTO
+        ]
+        for path, file in files:
+            if [other for _, other in files].count(file) > 1:
                 raise InputError(f"{path}: named twice: what is written needs a name of its own")
         if not to_stdout:
             target = place(facts_file, "facts.json", inputs=flat(arguments))
