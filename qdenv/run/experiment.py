@@ -64,6 +64,11 @@ def make_experiment(
         config = find_preset(config)
     if settings:
         config, _ = resolve(config, settings)
+    return build_experiment(config, start)
+
+
+def build_experiment(config: RunConfig, start: np.ndarray | None = None) -> Experiment:
+    """Build a run's parts of a whole configuration, see `make_experiment`."""
     if getattr(jax.config, "jax_enable_x64"):  # noqa: B009 (jax does not declare it)
         raise InputError("searches are in single precision: leave JAX_ENABLE_X64 out")
     pipeline = make_pipeline(config.evaluation, repair_seed=config.seed)

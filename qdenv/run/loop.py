@@ -28,7 +28,7 @@ from qdenv.run.config import RunConfig, check
 from qdenv.run.directory import METRICS, NOTES, Metrics, RunDirectory, find_start
 from qdenv.run.evaluate import AsyncEvaluation, Search, open_evaluator
 from qdenv.run.executors import Execution
-from qdenv.run.experiment import Experiment, make_experiment
+from qdenv.run.experiment import Experiment, build_experiment
 from qdenv.search.base import Algorithm, collector, growing
 from qdenv.types import Evaluation, InputError, RepairStatus
 
@@ -52,7 +52,7 @@ def train(
     """
     check(config)
     start = find_start(config) if start is None else start
-    experiment = make_experiment(config, start)
+    experiment = build_experiment(config, start)
     # The state of the search alone, before a folder exists.
     fewer = "fewer emitters, a smaller batch or a smaller generator"
     check_memory(experiment.algorithm.init, experiment.search_key, "this search", fewer)
@@ -83,7 +83,7 @@ def resume(
             config = dataclasses.replace(config, evaluations=evaluations)
         # A domain may have other ranges today than when the run began.
         axes = config.archive or tuple(axis[1:4] for axis in run.measures)
-        experiment = make_experiment(dataclasses.replace(config, archive=axes), run.read_start())
+        experiment = build_experiment(dataclasses.replace(config, archive=axes), run.read_start())
         return _run(experiment, config, run, progress, execution, minutes)
 
 

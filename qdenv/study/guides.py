@@ -12,7 +12,7 @@ from qdenv.guidance import existing_moves
 from qdenv.run.config import RunConfig
 from qdenv.run.directory import RunDirectory
 from qdenv.run.evaluate import Search
-from qdenv.run.experiment import make_experiment
+from qdenv.run.experiment import build_experiment
 from qdenv.run.loop import Publisher
 from qdenv.search.base import growing
 from qdenv.search.settings import CmaEsConfig
@@ -100,7 +100,7 @@ def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
     With runs of chance the best evaluation was lucky, too; the mean is the average of many.
     """
     config = run.config
-    experiment = make_experiment(config, run.read_start())
+    experiment = build_experiment(config, run.read_start())
     algorithm = growing(experiment.algorithm)
     initial = Search.begin(algorithm, experiment.search_key)
     publisher = Publisher(run, experiment, algorithm, experiment.settings(config))
