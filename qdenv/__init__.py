@@ -23,8 +23,6 @@ makes it, paired in an `Entry`: register it (`qdenv.DOMAINS.register(name, entry
 an entry point of your package, so that the `qdenv` command knows it too.
 """
 
-from types import FunctionType
-
 import lazy_loader
 
 # __init__.pyi lists the public names, which type checkers read as well. Each is imported when it is
@@ -33,14 +31,9 @@ _import, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name, or look up the version; operations check their arguments' ranges."""
+    """Import a public name, or look up the version."""
     if name == "__version__":
         from importlib.metadata import version  # here: it takes longer than all else
 
         return version("qdenv")
-    found = _import(name)
-    if isinstance(found, FunctionType) and found.__module__.startswith("qdenv.ops."):
-        from qdenv.ranges import checked  # the other names do without
-
-        found = globals()[name] = checked(found)
-    return found
+    return _import(name)

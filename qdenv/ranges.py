@@ -1,17 +1,16 @@
 """Types with ranges: what a setting may be is stated where it is declared, and checked in one way.
 
 A record whose fields have such types derives from `Ranged`, which checks them wherever its values
-come from: a command line, a file, Python. `checked` does the same for the arguments of a function.
+come from: a command line, a file, Python.
 """
 
-import inspect
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator
-from functools import cache, wraps
+from collections.abc import Iterator
+from functools import cache
 from numbers import Integral, Real
-from typing import Annotated, Any, Literal, Unpack, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from annotated_types import Interval
 
@@ -71,44 +70,6 @@ def check_range(name: str, value: Any, kind: Any) -> None:
             if limit is not None and not holds(number, limit):
                 expected = f"{phrase} {limit}" if math.isfinite(number) else "a finite number"
                 raise InputError(f"{label} must be {expected}, not {number}")
-
-
-def bind_call(function: Callable, *values: Any, **named: Any) -> inspect.BoundArguments:
-    """Bind a call's arguments; InputError if a number is none of those that its type allows.
-
-    Those of ``**options: Unpack[Record]`` have the types of the record's fields.
-    """
-    arguments = inspect.signature(function).bind(*values, **named)
-    stated, kinds = dict(arguments.arguments), _type_hints(function, include_extras=True)
-    for name, kind in kinds.items():
-        if get_origin(kind) is Unpack:
-            stated |= stated.pop(name, {})
-            kinds = kinds | _type_hints(get_args(kind)[0], include_extras=True)
-    for name, value in stated.items():
-        check_range(name, value, kinds.get(name))
-    return arguments
-
-
-@cache
-def checked(function: Callable) -> Callable:
-    """Make the same function, which checks its arguments as `bind_call` does before it begins.
-
-    Numbers may be NumPy's.
-    """
-
-    @wraps(function)
-    def call(*values: Any, **named: Any) -> Any:
-        values = tuple(map(_plain, values))
-        bound = bind_call(function, *values, **{name: _plain(one) for name, one in named.items()})
-        return function(*bound.args, **bound.kwargs)
-
-    return call
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return value
-    return int(value) if isinstance(value, Integral) else float(value)
 
 
 def read_range(name: str, value: Any) -> tuple[int, int]:

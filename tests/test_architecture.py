@@ -284,10 +284,10 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_131,
+    "lines": 33_191,
     "files": 194,
     "records": 195,
-    "public names": 1_226,
+    "public names": 1_216,
     "class names used twice": 0,
     "functions of two lines": 328,
 }

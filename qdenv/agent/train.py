@@ -253,18 +253,13 @@ def train_agent(
     check_memory(start, config, "this training", "fewer lanes, units or levels in the bank")
     with locked(out):
         state, used = start(config), 0.0
-        checkpoint, examine = out / "checkpoint.npz", _exam(config)
-
-        def keep_agent() -> dict[str, float]:
-            save_weights(state.weights, out / "agents" / f"{int(state.update):06}.npz")
-            return choose(out, config.average, examine)
-
+        checkpoint = out / "checkpoint.npz"
         if resume:
             state, used = load_state(checkpoint, state)
-            keep_agent()  # which a run killed after its last checkpoint lacks
         else:
             refuse_second_training(out)
         write_json(out / "config.json", asdict(config))
+        examine = _exam(config)
         # The log shows the seconds of the whole run, those before an interruption too.
         began, logs = time.process_time() - used, []
         while int(state.update) < config.updates:
@@ -285,10 +280,12 @@ def train_agent(
                 **mean,
             }
             logs = []
-            # The log comes last: a run killed in between misses a line of it and repeats none.
+            # First the agents, which a run killed in between writes again; last the log, of which it
+            # then misses a line and repeats none.
+            save_weights(state.weights, out / "agents" / f"{done:06}.npz")
+            row |= choose(out, config.average, examine)
             leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
             write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
-            row |= keep_agent()
             with (out / "curve.jsonl").open("a") as log:
                 log.write(json.dumps(row) + "\n")
             progress(done, row)

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union, Unpack, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro import _errors as events
@@ -19,7 +19,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from qdenv.cli.help import ALL, compacted
 from qdenv.ops.options import Mark, option
-from qdenv.ranges import bind_call
+from qdenv.ranges import check_range
 from qdenv.types import InputError
 
 MARKERS = (tyro.conf.AvoidSubcommands,)
@@ -163,7 +163,15 @@ def bind(function: Callable) -> Callable[..., inspect.BoundArguments]:
 
     @functools.wraps(function)
     def bound(*values: Any, **named: Any) -> inspect.BoundArguments:
-        return bind_call(function, *values, **named)
+        arguments = signature.bind(*values, **named)
+        stated, kinds = dict(arguments.arguments), hints
+        for name, kind in hints.items():
+            if get_origin(kind) is Unpack:  # **options: Unpack[Record]
+                stated |= stated.pop(name, {})
+                kinds = hints | get_type_hints(get_args(kind)[0], include_extras=True)
+        for name, value in stated.items():
+            check_range(name, value, kinds[name])
+        return arguments
 
     # tyro takes defaults from the signature, the call those of the function itself.
     parameters = [

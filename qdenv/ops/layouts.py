@@ -24,7 +24,6 @@ from qdenv.ops.output import (
     say,
 )
 from qdenv.progress import Bar
-from qdenv.ranges import PositiveInt
 from qdenv.repairs.audit import audit, check_allowed, check_built
 from qdenv.repairs.rules import impossible
 from qdenv.repairs.settings import Polish, RepairConfig
@@ -33,10 +32,8 @@ from qdenv.study.options import describe_growth
 from qdenv.study.plans import describe_changes, keep_costs, list_changes, warn_of_changes
 from qdenv.types import InputError, RepairStatus, Rules
 
-if TYPE_CHECKING:  # imports jax
+if TYPE_CHECKING:
     from qdenv.simulation.mapf.environment import Environment, Observe
-else:
-    Environment = Observe = Any
 
 
 def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = None) -> Layout:
@@ -360,8 +357,8 @@ def list_symbols(domain: Domain) -> list[tuple[str, ...]]:
 
 def make_environment(
     layout: args.Source | Sequence[args.Source],
-    agents: PositiveInt = 50,
-    timesteps: PositiveInt = 1000,
+    agents: int = 50,
+    timesteps: int = 1000,
     domain: str | None = None,
     observe: Observe | None = None,
     auto_reset: bool = False,

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict, get_type_hints
 
 import numpy as np
 from annotated_types import Interval
@@ -21,7 +21,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.ops.output import Layout
-from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt
+from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt, check_range
 from qdenv.simulation.mapf.settings import (
     OWN,
     FleetConfig,
@@ -209,8 +209,9 @@ class Fleet:
 
     def __init__(self, options: Mapping[str, Any], kind: Any = FleetOptions) -> None:
         """Resolve options of a `kind`; raise InputError if one is not of it, or impossible."""
-        for name in options:
-            look_up(kind.__annotations__, name, "option")
+        kinds = get_type_hints(kind, include_extras=True)
+        for name, value in options.items():
+            check_range(name, value, look_up(kinds, name, "option"))
         self.domain: str | None = options.get("domain")
         self.timesteps: int | None = options.get("timesteps")
         self.effort: str | None = options.get("effort")

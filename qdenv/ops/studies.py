@@ -173,8 +173,7 @@ class _Fleets:
         """
         layouts = list(layouts) if isinstance(layouts, list | tuple) else [layouts]
         fleets = args.each_planner(study) if several else [args.Fleet(study, args.StudyOptions)]
-        options, self._width = fleets[0], study.get("width") or PAGE
-        stated = parse_counts(agents)
+        options, stated, self._width = fleets[0], parse_counts(agents), study.get("width") or PAGE
         options.config(max(stated, default=1))  # refuses what makes no simulation
         self.inputs = [*layouts, *options.inputs]
         out, plot = study.get("out"), study.get("plot")
