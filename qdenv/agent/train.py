@@ -280,8 +280,8 @@ def train_agent(
                 **mean,
             }
             logs = []
-            # First the agents, which a run killed in between writes again; last the log, of which it
-            # then misses a line and repeats none.
+            # First the agents, which a run killed in between writes again; last the log, of which
+            # it then misses a line and repeats none.
             save_weights(state.weights, out / "agents" / f"{done:06}.npz")
             row |= choose(out, config.average, examine)
             leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
