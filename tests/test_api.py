@@ -110,7 +110,7 @@ def test_repair_and_check_take_numbers_by_name(path):
         ({"timesteps": 0}, "timesteps must be at least 1, not 0"),
         ({"timesteps": 2.0}, r"timesteps must be an integer, not 2\.0"),
         ({"agents": True}, "agents must be a number, not True"),
-        ({"width": -3.0}, "width must be above 0"),
+        ({"seconds_per_step": "2"}, "seconds-per-step must be a number"),
         ({"seeds": 3.0}, r"seeds '3\.0': write"),
         ({"tasks": {"demand": None}}, "demand: give an array"),
         ({"tasks": {"drop": {"w": 3}}}, "drop .*: write one number"),
