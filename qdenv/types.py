@@ -190,7 +190,7 @@ class Rules(NamedTuple):
         With `both_sides` each lies in a row, or column, of one or two of them with the driving area
         at both ends.
         """
-        more = (Cover(self.connected, ((aisle, aisle),)),) * (aisle > 1)
+        more = (Cover(self.connected, ((aisle, aisle),)),) * int(aisle > 1)
         if rack is not None:
             more += (Cover(of, tuple(sorted({rack, rack[::-1]}))),)
         if both_sides:

@@ -112,7 +112,7 @@ def test_repair_and_check_take_numbers_by_name(path):
         ({"agents": True}, "agents must be a number, not True"),
         ({"seconds_per_step": "2"}, "seconds-per-step must be a number"),
         ({"seeds": 3.0}, r"seeds '3\.0': write"),
-        ({"tasks": {"demand": None}}, "demand: give an array"),
+        ({"tasks": {"demand": None}}, "the demand has 1 x 1 numbers, the plan"),
         ({"tasks": {"drop": {"w": 3}}}, "drop .*: write one number"),
         ({"tasks": {"pick": 1.5}}, r"pick must be an integer, not 1\.5"),
     ],

@@ -284,12 +284,12 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_191,
+    "lines": 33_158,
     "files": 194,
     "records": 195,
-    "public names": 1_216,
+    "public names": 1_215,
     "class names used twice": 0,
-    "functions of two lines": 328,
+    "functions of two lines": 327,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {

@@ -133,9 +133,7 @@ def draw_level(key: jax.Array, config: LevelConfig) -> Level:
     smallest = config.smallest or config.size
     side = jax.random.randint(jax.random.fold_in(key, 1), (), smallest, config.size + 1)
     areas = np.arange(2, config.size + 3) ** 2  # by side, with the frame; products need 64 bits
-    low, high = (
-        jnp.asarray(np.maximum(steps * areas // areas[-1], 1))[side] for steps in config.horizon
-    )
+    low, high = (jnp.asarray(np.maximum(n * areas // areas[-1], 1))[side] for n in config.horizon)
     span, kind = jax.random.uniform(key, (2,))
     horizon = low + (span * (high + 1 - low)).astype(jnp.int32)
     layout = draw_layout(layout_key, config, side)

@@ -190,14 +190,11 @@ def _run_command(name: str, typed: list[str]) -> int:
         target, to_stdout = None, facts_file == Path("-")
         # What is read is compared where places are chosen.
         named = arguments | arguments.get("study", {}) | {"json": None if to_stdout else facts_file}
-        files = [
-            (one, os.path.realpath(one))
-            for name, one in named.items()
-            if isinstance(one, Path) and name != "layout" and one != AUTO
-        ]
-        for path, file in files:
-            if [other for _, other in files].count(file) > 1:
-                raise InputError(f"{path}: named twice: what is written needs a name of its own")
+        written: dict[str, str] = {}  # file -> name of the option
+        for name, one in named.items():
+            output = isinstance(one, Path) and name != "layout" and one != AUTO
+            if output and written.setdefault(os.path.realpath(one), name) != name:
+                raise InputError(f"{one}: named twice: what is written needs a name of its own")
         if not to_stdout:
             target = place(facts_file, "facts.json", inputs=flat(arguments))
         # Nothing but the facts is written to standard output if they are written there.

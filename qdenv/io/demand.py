@@ -61,7 +61,7 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
     lines = [line for line in table if any(line[1])]
     with about(orders):
         if "row" in lines[0][1] or "place" in lines[0][1]:
-            return _spread(_count(lines, places, endpoints.shape), endpoints)
+            return _spread(_count(lines, places), endpoints)
         if places:
             raise InputError("no column place in its first line, which a file of places is for")
         rows = [
@@ -110,9 +110,7 @@ def _cells(path: Path) -> list[tuple[int, list[str]]]:
     return [line for line in lines if len(line[1]) > 1 or any(line[1])]
 
 
-def _count(
-    table: list[tuple[int, list[str]]], file: str, shape: tuple[int, ...]
-) -> dict[tuple[int, int], float]:
+def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int], float]:
     """Count the order lines of each cell (row, column); a `file` may say where places are."""
     places: dict[str, tuple[int, int]] = {}
     if file:
@@ -139,24 +137,19 @@ def _count(
                     f"line {line}: place {place!r} is unknown: name a second file with place, row "
                     "and column, as orders.csv,places.csv"
                 )
-            row, column = places[place]
+            cell = places[place]
         else:
-            row, column = _cell(cells, columns, line)
-        if not (0 <= row < shape[0] and 0 <= column < shape[1]):
-            place = f"row {row}, column {column} is off the plan of {shape[0]} x {shape[1]} cells"
-            raise InputError(f"line {line}: {place}: count both from 0")
-        counts[row, column] += 1 if amount is None else _number(cells[amount], f"line {line}")
+            cell = _cell(cells, columns, line)
+        counts[cell] += 1 if amount is None else _number(cells[amount], f"line {line}")
     return counts
 
 
 def _find(head: list[str], *names: str) -> int:
     """Find the column that has one of the names."""
     found = [index for index, cell in enumerate(head) if cell in names]
-    if len(found) > 1:
-        both = " and ".join(head[index] for index in found)
-        raise InputError(f"columns {both} in its first line mean the same: leave one out")
-    if not found:
-        raise InputError(f"no column {names[0]} in its first line, which names the columns")
+    if len(found) != 1:
+        many = "several columns" if found else "no column"
+        raise InputError(f"{many} {' or '.join(names)} in its first line, which names the columns")
     return found[0]
 
 
@@ -185,9 +178,10 @@ def _spread(counts: Mapping[tuple[int, int], float], endpoints: np.ndarray) -> n
     for (row, column), count in counts.items():
         beside = [(row + down, column + right) for down, right in MOVES]
         near = {(row, column)} & found or {*beside} & found
-        if not near:
+        if min(row, column) < 0 or row >= len(odds) or column >= odds.shape[1] or not near:
             raise InputError(
-                f"row {row}, column {column} is neither an endpoint of the plan nor beside one"
+                f"row {row}, column {column} is no cell of the plan that is an endpoint or beside "
+                "one: both are counted from 0"
             )
         for cell in near:
             odds[cell] += count / len(near)

@@ -83,17 +83,20 @@ def make_facts(content: Mapping[str, Any], source: Path) -> PlanFacts:
     return facts
 
 
-def write_facts(plan: Path, details: Mapping[str, Any]) -> Path | None:
-    """Write the facts beside a plan that its format cannot hold; return where.
+def write_facts(plan: Path, details: Mapping[str, Any], needed: bool) -> list[str]:
+    """Write the facts beside a plan that its format cannot hold, if `needed` or some are there.
 
-    None, and nothing is written, where a file of this name is not of qdenv.
+    Returns what to log. A file of this name that is not of qdenv stays.
     """
     path = plan.with_suffix(".toml")
-    if path.exists() and not read_text(path, MEGABYTE, "TOML").startswith(_HEAD):
-        return None
+    if older := path.exists():
+        if not read_text(path, MEGABYTE, "TOML").startswith(_HEAD):
+            return [f"{path} is not of qdenv: not replaced"]
+    elif not needed:
+        return []
     named = {"drawing" if name == "keep" else name: one for name, one in details.items()}
     facts = {"domain": named.pop("domain"), **named.pop("facts", {}), **named}
     # What is written here is the same in JSON and in TOML.
     lines = [f"{name} = {json.dumps(one, indent=1)}\n" for name, one in facts.items()]
     write_atomically(path, (_HEAD + "".join(lines)).encode())
-    return path
+    return [f"{path} (replaced)" if older else str(path)]

@@ -45,8 +45,7 @@ FORMATS: dict[str, Format] = {
     "scen": Format({".scen": _ROBOTS}, _MAPS, "read_scen", "write_scen", {".scen": (".map",)}),
     "lorr": Format(  # the League of Robot Runners
         {".json": (*_ROBOTS, "details"), ".map": ()},
-        *(_MAPS, "read_lorr", "write_lorr"),
-        {".json": (".map", ".agents", ".tasks")},
+        *(_MAPS, "read_lorr", "write_lorr", {".json": (".map", ".agents", ".tasks")}),
     ),
     "rhcr": Format(
         {".grid": ("weights", "starts"), ".map": ("starts", "maxtime")},
@@ -63,8 +62,7 @@ FORMATS: dict[str, Format] = {
     "nav2": Format({".geojson": _LANES}, _ROADS, "", "write_nav2"),
     "ros": Format(
         {".pgm": ("cell",), ".yaml": ("cell",)},
-        *(_ROADS, "", "write_ros"),
-        {".pgm": (".yaml",), ".yaml": (".pgm",)},
+        *(_ROADS, "", "write_ros", {".pgm": (".yaml",), ".yaml": (".pgm",)}),
     ),
 }
 ALL_ENDINGS = tuple(dict.fromkeys(ending for one in FORMATS.values() for ending in one.endings))

@@ -187,7 +187,6 @@ def join_cells(path: Path, table: Sequence[Sequence[str]]) -> list[str]:
     return rows
 
 
-_NO_MEANINGS: Mapping[str, Tile] = MappingProxyType({})
 BLANKS = " ."  # empty cells, drawn either way
 
 
@@ -236,7 +235,7 @@ def write_layout(
     path: str | Path,
     layout: Array,
     tiles: str,
-    meanings: Mapping[str, Tile] = _NO_MEANINGS,
+    meanings: Mapping[str, Tile] = MappingProxyType({}),
     costs: np.ndarray | None = None,
     /,
     **details: Any,

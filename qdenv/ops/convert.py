@@ -9,11 +9,12 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from qdenv.grid import draw
+from qdenv.io.facts import write_facts
 from qdenv.io.formats import FORMATS, find_writer, write_drawing
 from qdenv.io.guidance import weights_of
 from qdenv.io.layouts import Drawing, check_size, read_drawing
 from qdenv.ops import options as args
-from qdenv.ops.output import Result, place, save_facts, say
+from qdenv.ops.output import Result, place, say
 from qdenv.ranges import PositiveFloat
 from qdenv.study.plans import guide, read_plan
 from qdenv.types import InputError, Tile
@@ -75,7 +76,7 @@ def convert(
     details = {**drawing.details, **stated} | {name: one for name, one in own.items() if one}
     details |= {} if cell is None else {"cell": cell}
     if chosen in ("text", "csv"):
-        save_facts(written.path, {"domain": found.name, **own}, bool(facts or plan.keep))
+        say(*write_facts(written.path, {"domain": found.name, **own}, bool(facts or plan.keep)))
         details = {name: one for name, one in details.items() if name not in {"cell", *own}}
     weights = None
     if plan.costs is not None:

@@ -108,7 +108,7 @@ def check(
     rules: Any = fitted.rules() if fitted.rules else None
     found = audit(plan.layout, rules) if rules else []
     remarks = diagnose(plan)
-    broken = [Broken(one.message, *map(int, one.cell)) for one in found]
+    broken = [Broken(one.message, *one.cells[0].tolist()) for one in found]
     say(*(one.message for one in broken))
     if rules is None:
         say(f"{name}: layouts of {fitted.name} have no rules, none is broken")

@@ -180,7 +180,7 @@ class Layout:
         path = Path(path)
         if path.suffix.lower() in (".txt", ".csv"):
             needed = bool(facts) or not is_plain(self.layout, self.domain)
-            save_facts(path, own | ({"facts": facts} if facts else {}), needed)
+            say(*write_facts(path, own | ({"facts": facts} if facts else {}), needed))
         else:
             say(*lost)
         return path
@@ -212,14 +212,6 @@ class Layout:
 
         picture = layout_html(self.layout, self.domain.tiles, self.domain.names)
         return picture + _table_html([self.facts])
-
-
-def save_facts(plan: Path, details: Mapping[str, Any], needed: bool) -> None:
-    """Write the facts beside text or CSV if they are `needed`, or others are there; log where."""
-    beside = Place(plan.with_suffix(".toml"), plan.with_suffix(".toml").exists())
-    if needed or beside.replaces:
-        ours = write_facts(plan, details)
-        say(beside if ours else f"{beside.path} is not of qdenv: not replaced")
 
 
 def save_with_picture(layout: Layout, target: Place | None, text: str = "") -> Layout:

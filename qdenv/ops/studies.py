@@ -175,9 +175,8 @@ class _Fleets:
         fleets = args.each_planner(study) if several else [args.Fleet(study, args.StudyOptions)]
         options, stated, self._width = fleets[0], parse_counts(agents), study.get("width") or PAGE
         options.config(max(stated, default=1))  # refuses what makes no simulation
-        self.inputs = [*layouts, *options.inputs]
-        out, plot = study.get("out"), study.get("plot")
-        self._table, self._picture = place_table(out, plot, name, self.inputs)
+        inputs = self.inputs = [*layouts, *options.inputs]
+        self._table, self._picture = place_table(study.get("out"), study.get("plot"), name, inputs)
         plans = _read_plans(layouts, options)
         if any(plan.costs is not None for plan in plans.values()):
             for one in fleets:

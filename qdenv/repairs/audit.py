@@ -16,12 +16,6 @@ class Violation(NamedTuple):
     message: str  # which rule, in words; where cells break it, their number and the first
     cells: np.ndarray  # int64 [n, 2], (row, column) of the cells that break it
 
-    @property
-    def cell(self) -> tuple[int, int]:
-        """The first of the cells."""
-        row, column = self.cells[0].tolist()
-        return row, column
-
 
 def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
     """Name every rule that a layout breaks, with the cells that do.

@@ -180,10 +180,8 @@ class SavedArchive:
         if isinstance(which, str) and which == "best":
             return self._elite(best_row(self.columns, self.schema.tie_break))
         try:
-            if isinstance(which, str):
-                cell = tuple(map(int, which.split(",")))
-            else:
-                cell = tuple(map(operator.index, which))
+            parts: Any = map(int, which.split(",")) if isinstance(which, str) else which
+            cell = tuple(map(operator.index, parts))
             number = np.ravel_multi_index(cell, self.shape)
         except (ValueError, TypeError, OverflowError) as error:
             text = which if isinstance(which, str) else str(which).strip("()[]")

@@ -1,10 +1,10 @@
 """Options of studies: seeds, numbers of agents, what must stay, what a known size gives."""
 
 import os.path
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -32,8 +32,7 @@ def parse_seeds(seeds: int | str | Sequence[int]) -> tuple[int, ...]:
     Raises InputError if there is no seed, one is named twice, or one is out of range.
     """
     # A comma makes it a list: "7," is the seed 7, "7" are seven seeds.
-    one = isinstance(seeds, str) or not isinstance(seeds, Iterable)
-    text = str(seeds) if one else "".join(f"{seed}," for seed in cast(Iterable, seeds))
+    text = "".join(f"{one}," for one in np.ravel(seeds)) if np.ndim(seeds) else str(seeds)
     try:
         numbers = [int(part) for part in text.split(",") if part.strip()]
     except ValueError:

@@ -174,12 +174,7 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
         endpoints = np.asarray(plain.cycle[0].weight(plan.layout)) > 0
         if isinstance(demand, str | Path):
             demand = read_demand(demand, endpoints)
-        odds = np.asarray(demand, float)
-        if odds.shape != plan.layout.shape:
-            raise InputError(
-                f"demand: give an array of {plan.layout.shape}, a number for each cell"
-            )
-        changes["demand"] = rows_of_odds(odds)
+        changes["demand"] = rows_of_odds(np.atleast_2d(np.asarray(demand, float)))
     if changes.get("demand", BY_SHELF) not in ((), BY_SHELF):  # a map of places fits one size
         changes |= dict(zip(("rows", "cols"), plan.layout.shape, strict=True))
     return plan._replace(domain=make_domain(replace(domain.config, **changes)))
