@@ -84,8 +84,7 @@ class HallConfig(BuiltConfig):
         shares = [share for share in _by_station(self.shares, "shares").values() if share]
         if self.shares and not shares:
             raise InputError("shares must be above 0 for one kind of station or more")
-        for share in shares:
-            check_range("shares", share, Odds)
+        check_range("shares", tuple(shares), tuple[Odds, ...])
 
 
 def _by_station(text: str, name: str) -> dict[str, float]:
