@@ -23,7 +23,8 @@ def shelved(shelves: int) -> Rules:
 
 
 def broken(drawing: list[str], rules: Rules) -> list[tuple[str, tuple[int, int]]]:
-    return [(found.message, found.cell) for found in audit(parse(drawing, TILES), rules)]
+    found = audit(parse(drawing, TILES), rules)
+    return [(one.message, tuple(one.cells[0].tolist())) for one in found]
 
 
 def test_a_good_layout_breaks_nothing():
