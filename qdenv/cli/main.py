@@ -97,8 +97,8 @@ def _run_general(name: str) -> int:
         print("usage: qdenv COMMAND ..., qdenv COMMAND --help (or --help-all), qdenv --version")
         for group, names in GROUPS.items():
             print(f"\n{group}")
-            for name in names:
-                text = f"{name:15} {summary_of(name)}"
+            for command in names:
+                text = f"{command:15} {summary_of(command)}"
                 print(textwrap.fill(text, width, initial_indent="  ", subsequent_indent=" " * 18))
     return 0
 
