@@ -132,6 +132,9 @@ def test_what_was_found_serves_a_floor_of_another_size(method, plan, tmp_path):
     table = qdenv.guide(larger, model=tmp_path / "model", path=tmp_path / "out", **FLEET)
     assert qdenv.read_plan(tmp_path / "out" / FILE).costs.shape == (5, len(rows), len(rows[0]))
     assert len(table) > 2
+    for ignored in ({"evaluations": 40}, {"seed": 0}, {"minutes": 1}, {"method": method}):
+        with pytest.raises(InputError, match="model draws the costs: leave out what"):
+            qdenv.guide(larger, model=tmp_path / "model", **FLEET, **ignored)
 
 
 def test_what_makes_no_search_is_refused(found, plan, tmp_path):

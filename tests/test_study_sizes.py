@@ -127,10 +127,15 @@ def test_at_a_known_size_its_numbers_replace_what_would_scale(run, tmp_path, cap
     assert grow_elite(run, "best", (101, 102), 9, {"shelves": 8}).steps == 9
     plain = ["generate", str(run.path), "--rows", "101", "--cols", "102", "--no-repair", "--out"]
     assert cli.run([*plain, str(tmp_path / "large.json")]) == 0
-    line = "101 x 102 is the paper's evaluation size: 2500 shelves, 200 steps of growth unless stat"
-    assert line in capsys.readouterr().out
-    assert cli.run([*plain, str(tmp_path / "l.json"), "--shelves", "9", "--steps", "2"]) == 0
+    line = "101 x 102 is the paper's evaluation size: 200 steps of growth unless stated"
+    assert line in (printed := capsys.readouterr().out)
+    drawn = read_plan(tmp_path / "large.json").layout
+    assert f"shelves {shelves(drawn)}, " in printed
+    assert cli.run([*plain, str(tmp_path / "l.json"), "--steps", "2"]) == 0
     assert "evaluation size" not in capsys.readouterr().out
+    for ignored in (["--shelves", "9"], ["--seed", "0"], ["--polish", "quick"]):
+        assert cli.run([*plain, str(tmp_path / "none.json"), *ignored]) == 2
+        assert "without repair: leave out numbers" in capsys.readouterr().err
 
 
 def test_the_solver_polishes_what_the_search_did_not_simulate(run):

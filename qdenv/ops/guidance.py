@@ -66,6 +66,8 @@ def guide(
     minutes, base, method = (given.pop(one, None) for one in ("minutes", "guidance", "method"))
     names = "evaluations", "simulations", "seed"
     numbers = {name: given.pop(name) for name in names if name in given}
+    if model is not None and (numbers or minutes or base is not None or method):
+        raise InputError(f"--model {model} draws the costs: leave out what a search needs")
     if given.get("planner") is None and given.get("effort") is None:
         given["planner"] = args.PibtOptions.usual
     options = args.Fleet(given, args.RunOptions)

@@ -156,6 +156,8 @@ def generate(
     """
     stated: Any = {name: numbers.pop(name) for name in {"steps", "seed", "polish"} & numbers.keys()}
     growth = dataclasses.replace(growth, **stated)
+    if not repair and (numbers or growth.polish or growth.seed is not None):
+        raise InputError("without repair: leave out numbers of tiles, seed and polish")
     # A size that is not stated is the trained one, which needs no check.
     check_size(1 if rows is None else rows, 1 if cols is None else cols)
     opened = args.open_run(run)
@@ -184,7 +186,8 @@ def generate(
         if growth.polish:
             grown = grown._replace(repair=dataclasses.replace(grown.repair, polish=growth.polish))
         repaired = studies.repair_grown(grown, seed, bar) if repair else None
-    chosen = [*(numbers if plan is None else domain.counted), *["steps"] * bool(growth.steps)]
+    chosen = [*(numbers if repair and plan is None else domain.counted)]
+    chosen += ["steps"] * bool(growth.steps)
     say(*filter(None, [describe_growth(trained, domain.shape, chosen)]))
     if trained.config.keep and not domain.config.keep:
         drawn = "WARNING: the run keeps cells of layouts of {} x {}".format(*trained.shape)
@@ -198,7 +201,8 @@ def generate(
         say(f"repair: {status}, {cost:g} cells changed, {bound:g} at least")
         say(*describe_changes(list_changes(grown.layout, layout, domain)))
     costs = studies.draw_grown_costs(config.evaluation, grown, layout)
-    facts = {"rows": layout.shape[0], "cols": layout.shape[1], **domain.numbers, **details}
+    has = domain.numbers if repair else domain.fitted(layout).numbers
+    facts = {"rows": layout.shape[0], "cols": layout.shape[1], **has, **details}
     settings = {"run": str(run), "elite": found.cell, "seed": seed}
     details |= {} if plan is None else plan.facts.details
     made = save_with_picture(Layout(layout, domain, details, facts, costs), target)
