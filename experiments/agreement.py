@@ -24,7 +24,7 @@ from experiments.program import run_program
 from experiments.traffic import name_layouts
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
-from qdenv.ranges import PositiveInt
+from qdenv.ranges import NonNegativeInt
 from qdenv.stats import Sample, sample_of
 from qdenv.study.options import parse_seeds
 from qdenv.study.plans import read_plan
@@ -230,7 +230,7 @@ def draw(path: Path, subjects: Sequence[Subject], judged: Judged, title: str) ->
 def main(
     run: Annotated[Path, tyro.conf.Positional],
     layouts: Annotated[tuple[Path, ...], tyro.conf.Positional] = (),
-    elites: PositiveInt = 40,
+    elites: NonNegativeInt = 40,
     agents: int = 200,
     timesteps: int = 1000,
     seeds: str = "3",

@@ -260,6 +260,8 @@ def train_agent(
             refuse_second_training(out)
         write_json(out / "config.json", asdict(config))
         examine = _exam(config)
+        if int(state.update) >= config.updates:  # else a run killed in its last exam has no agent
+            choose(out, config.average, examine)
         # The log shows the seconds of the whole run, those before an interruption too.
         began, logs = time.process_time() - used, []
         while int(state.update) < config.updates:
@@ -280,12 +282,12 @@ def train_agent(
                 **mean,
             }
             logs = []
-            # First the agents, which a run killed in between writes again; last the log, of which
+            # First the agent, which a run killed in between writes again; last the log, of which
             # it then misses a line and repeats none.
             save_weights(state.weights, out / "agents" / f"{done:06}.npz")
-            row |= choose(out, config.average, examine)
             leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
             write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
+            row |= choose(out, config.average, examine)
             with (out / "curve.jsonl").open("a") as log:
                 log.write(json.dumps(row) + "\n")
             progress(done, row)

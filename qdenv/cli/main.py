@@ -192,8 +192,10 @@ def _run_command(name: str, typed: list[str]) -> int:
         named = arguments | arguments.get("study", {}) | {"json": None if to_stdout else facts_file}
         written: dict[str, str] = {}  # file -> name of the option
         for option, one in named.items():
-            output = isinstance(one, Path) and option != "layout" and one != AUTO
-            if output and written.setdefault(os.path.realpath(one), option) != option:
+            read = one == AUTO or option in ("layout", "run", "plan", "model", "checkpoint")
+            if read or not isinstance(one, Path):
+                continue
+            if written.setdefault(os.path.realpath(one), option) != option:
                 raise InputError(f"{one}: named twice: what is written needs a name of its own")
         if not to_stdout:
             target = place(facts_file, "facts.json", inputs=flat(arguments))

@@ -121,8 +121,7 @@ def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int
                 place = "".join(cells[name:][:1])  # a line may end before the name
                 cell = _cell(cells, where, line)
                 if places.setdefault(place, cell) != cell and place:
-                    also = "has another cell above: capital letters tell no names apart"
-                    raise InputError(f"line {line}: place {place!r} {also}")
+                    raise InputError(f"line {line}: place {place!r} has another cell above")
     (_, head), *lines = table
     counts: dict[tuple[int, int], float] = defaultdict(float)
     amount = _find(head, *_AMOUNT) if {*_AMOUNT} & {*head} else None
@@ -173,12 +172,12 @@ def _number(text: str, where: str) -> float:
 
 def _spread(counts: Mapping[tuple[int, int], float], endpoints: np.ndarray) -> np.ndarray:
     """Give each cell the count of its nearest endpoint; a shelf's is divided among those beside."""
-    odds = np.zeros(endpoints.shape)
+    odds, (rows, cols) = np.zeros(endpoints.shape), endpoints.shape
     found = {(row, column) for row, column in np.argwhere(endpoints).tolist()}
     for (row, column), count in counts.items():
         beside = [(row + down, column + right) for down, right in MOVES]
         near = {(row, column)} & found or {*beside} & found
-        if min(row, column) < 0 or row >= len(odds) or column >= odds.shape[1] or not near:
+        if not (0 <= row < rows and 0 <= column < cols and near):
             raise InputError(
                 f"row {row}, column {column} is no cell of the plan that is an endpoint or beside "
                 "one: both are counted from 0"

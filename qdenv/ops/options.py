@@ -21,7 +21,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.ops.output import Layout
-from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt, check_range
+from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt, Seed, check_range
 from qdenv.simulation.mapf.settings import (
     OWN,
     FleetConfig,
@@ -125,7 +125,7 @@ PlanFile: TypeAlias = Annotated[Any, option("FILE", Path)]
 Folder: TypeAlias = Annotated[
     str | Path | None, option("FOLDER", Path), arg(name="out", aliases=("--run-dir",))
 ]
-RepairSeed: TypeAlias = Annotated[NonNegativeInt, arg(aliases=("--repair-seed",))]
+RepairSeed: TypeAlias = Annotated[Seed, arg(aliases=("--repair-seed",))]
 OnCommandLine: TypeAlias = Annotated[bool, Mark.TRUE]
 # Costs of moves by name or file, in Python also float [5, H, W], see `guidance`
 Guidance: TypeAlias = Annotated[Any, option("FILE|NAME", str)]

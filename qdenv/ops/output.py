@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import logging
 import os.path
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -96,7 +97,8 @@ def place(
         better = path / Path(default).name
         raise InputError(f"{path}: that is a folder: name a file in it, like {better}")
     # Two names of one file are the same file: links, other spellings.
-    files = [one for one in inputs if isinstance(one, str | Path) and os.path.exists(one)]
+    named = [str(one) for one in inputs if isinstance(one, str | Path)]
+    files = filter(os.path.exists, [*named, *re.split("[+,]", ",".join(named))])  # w+KEEP, A,B
     if path.exists() and any(map(path.samefile, files)):
         raise InputError(f"{path}: that is what is read: choose another name")
     if find_stream(path) is not None:  # what is behind it is not replaced

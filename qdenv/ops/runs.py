@@ -16,7 +16,7 @@ from qdenv.ops import options as args
 from qdenv.ops.layouts import layout_human
 from qdenv.ops.output import AUTO, Layout, Place, place, place_folder, save_with_picture, say
 from qdenv.progress import Bar
-from qdenv.ranges import PositiveInt, Ranged
+from qdenv.ranges import PositiveInt, Ranged, Seed
 from qdenv.repairs.settings import Polish
 from qdenv.run.archive import Elite
 from qdenv.run.directory import RunDirectory
@@ -109,7 +109,7 @@ class GrowthOptions(Ranged):
     # steps of growth; by default the number known for the size, or else scaled with it
     steps: PositiveInt | None = None
     # other seeds give other repairs of about equal cost; by default the run's own
-    seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None
+    seed: Annotated[Seed | None, arg(aliases=("--repair-seed",))] = None
     # how hard to repair: full lets HiGHS improve the annealed layout, and prove it optimal if it
     # can; by default the search's for a layout that it simulated, and full for any other
     polish: Polish | None = None
@@ -214,7 +214,7 @@ def series(
     elite: str = "best",
     sizes: tuple[str, ...] = (),
     steps: tuple[int, ...] = (),
-    seed: Annotated[int | None, arg(aliases=("--repair-seed",))] = None,
+    seed: Annotated[Seed | None, arg(aliases=("--repair-seed",))] = None,
     human: bool = False,
     out: args.Out = None,
     **numbers: args.Numbers,

@@ -54,7 +54,7 @@ def parse_counts(agents: int | str | Sequence[int] | None) -> tuple[int, ...]:
     None are none. Raises InputError if it is none of these, a count is below one or named twice, or
     there are too many.
     """
-    if agents is None:
+    if agents is None or not np.size(agents):
         return ()
     text = ",".join(map(str, np.atleast_1d(agents).tolist()))
     counts: Sequence[int]

@@ -174,7 +174,10 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
         endpoints = np.asarray(plain.cycle[0].weight(plan.layout)) > 0
         if isinstance(demand, str | Path):
             demand = read_demand(demand, endpoints)
-        changes["demand"] = rows_of_odds(np.atleast_2d(np.asarray(demand, float)))
+        try:
+            changes["demand"] = rows_of_odds(np.asarray(demand, float))
+        except (TypeError, ValueError):
+            raise InputError("demand: give rows of numbers, one for each cell") from None
     if changes.get("demand", BY_SHELF) not in ((), BY_SHELF):  # a map of places fits one size
         changes |= dict(zip(("rows", "cols"), plan.layout.shape, strict=True))
     return plan._replace(domain=make_domain(replace(domain.config, **changes)))
