@@ -9,12 +9,12 @@ import functools
 import operator
 import re
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from qdenv.lazy import jnp
+from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
 
 MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, down, up
@@ -50,6 +50,15 @@ def shift(values: Array, move: tuple[int, int], fill: object = 0) -> Array:
 def count_neighbours(mask: Array) -> Array:
     """Count each cell's 4-neighbours inside `mask` (bool [H, W] -> int32 [H, W])."""
     return functools.reduce(operator.add, [shift(mask.astype(np.int32), move) for move in MOVES])
+
+
+def fixed_point(change: Callable[[jax.Array], jax.Array], values: jax.Array) -> jax.Array:
+    """Apply a change to values of one shape again and again until none differs; traceable."""
+    return jax.lax.while_loop(
+        lambda pair: (pair[0] != pair[1]).any(),
+        lambda pair: (pair[1], change(pair[1])),
+        (values, change(values)),
+    )[1]
 
 
 def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:

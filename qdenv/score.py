@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 
-from qdenv.grid import MOVES, of_tiles, shift
+from qdenv.grid import MOVES, fixed_point, of_tiles, shift
 from qdenv.lazy import chex, jax, jnp
 from qdenv.types import Array
 
@@ -39,16 +39,13 @@ def components(layout: Array, symbols: str, tiles: str) -> jax.Array:
     rows, cols = mask.shape
     labels = jnp.where(mask, jnp.arange(rows * cols, dtype=jnp.int32).reshape(rows, cols), -1)
 
-    def pass_on(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        old, _ = carry
+    def pass_on(old: jax.Array) -> jax.Array:
         new = functools.reduce(jnp.maximum, [shift(old, move, -1) for move in MOVES], old)
         new = jnp.where(mask, new, -1)
         # Pointer jumping: a label names a cell, whose own label is at least as large.
-        new = jnp.where(mask, jnp.maximum(new, new.reshape(-1)[new]), -1)
-        return new, (new != old).any()
+        return jnp.where(mask, jnp.maximum(new, new.reshape(-1)[new]), -1)
 
-    final, _ = jax.lax.while_loop(lambda carry: carry[1], pass_on, (labels, jnp.bool_(True)))
-    roots = final.reshape(-1) == jnp.arange(rows * cols)
+    roots = fixed_point(pass_on, labels).reshape(-1) == jnp.arange(rows * cols)
     return (roots & mask.reshape(-1)).sum(dtype=jnp.int32).astype(jnp.float32)
 
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.settings import LevelConfig
+from qdenv.grid import fixed_point
 from qdenv.simulation.maze import world
 from qdenv.simulation.maze.world import EMPTY, GOAL, HEADINGS, REACH, WALL
 from qdenv.types import Array
@@ -63,14 +64,12 @@ def _distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
     strides = [int(row) * width + int(col) for row, col in HEADINGS]
     far = jnp.full(free.shape, _UNSEEN, jnp.int32).at[goal].set(0)
 
-    def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        old, _ = carry
+    def relax(old: jax.Array) -> jax.Array:
         # The ring of walls around a canvas keeps what rolls over its edge out.
         near = jnp.stack([jnp.roll(old, stride) for stride in strides]).min(0) + 1
-        new = jnp.where(free, jnp.minimum(old, near), _UNSEEN)
-        return new, (new != old).any()
+        return jnp.where(free, jnp.minimum(old, near), _UNSEEN)
 
-    return jax.lax.while_loop(lambda carry: carry[1], relax, (far, jnp.bool_(True)))[0]
+    return fixed_point(relax, far)
 
 
 def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:

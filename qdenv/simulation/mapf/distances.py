@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
-from qdenv.grid import MOVES, move_steps, shift
+from qdenv.grid import MOVES, fixed_point, move_steps, shift
 from qdenv.simulation.mapf.planner import UNREACHABLE_COST, World, distance_type
 
 _Planes: TypeAlias = tuple[jax.Array, ...]
@@ -86,13 +86,9 @@ def goal_costs(
     start = jnp.full((cells.shape[0], size), UNREACHABLE_COST, jnp.int32)
     begin = jnp.where(used & free[cells], 0, UNREACHABLE_COST)
     start = start.at[jnp.arange(cells.shape[0]), cells].set(begin)
-
-    def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        before, _ = carry
-        after = jnp.minimum(before, (before[:, neighbour] + ahead[None]).min(axis=1))
-        return after, (after != before).any()
-
-    return jax.lax.while_loop(lambda carry: carry[1], relax, (start, jnp.bool_(True)))[0]
+    return fixed_point(
+        lambda cost: jnp.minimum(cost, (cost[:, neighbour] + ahead[None]).min(axis=1)), start
+    )
 
 
 class Fields(NamedTuple):

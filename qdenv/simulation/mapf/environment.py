@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.grid import MOVES, of_tiles
+from qdenv.grid import MOVES, fixed_point, of_tiles
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.agents import FleetState, drive, place
 from qdenv.simulation.mapf.goals import check_playable
@@ -214,14 +214,9 @@ def settle(position: jax.Array, ahead: jax.Array, cells: int) -> jax.Array:
     everyone = jnp.arange(position.shape[0], dtype=jnp.int32)
     there = jnp.full((cells,), NOBODY, jnp.int32).at[position].set(everyone)[ahead]
     swaps = (there != NOBODY) & (there != everyone) & (ahead[there] == position)
-    first = jnp.where(swaps, position, ahead)
 
-    def conflicts(cell: jax.Array) -> jax.Array:
+    def give_way(cell: jax.Array) -> jax.Array:
         crowd = jnp.zeros((cells,), jnp.int32).at[cell].add(1)
-        return (crowd[cell] > 1) & (cell != position)
+        return jnp.where(crowd[cell] > 1, position, cell)
 
-    return jax.lax.while_loop(
-        lambda cell: conflicts(cell).any(),
-        lambda cell: jnp.where(conflicts(cell), position, cell),
-        first,
-    )
+    return fixed_point(give_way, jnp.where(swaps, position, ahead))

@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from qdenv.devices import runs_on_host
+from qdenv.grid import fixed_point
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.negotiated.numba.rounds import make_plan, run_windows
 from qdenv.simulation.mapf.negotiated.settings import MARGIN, MAX_WINDOW, NegotiatedConfig
@@ -47,13 +48,9 @@ def negotiated(config: NegotiatedConfig) -> Planner:
             conflicts = conflicts & ~jnp.eye(agents, dtype=bool)
             conflicts = conflicts & state.active[:, None] & state.active[None, :]
 
-            def widen(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-                falls, _ = carry
-                more = falls | (conflicts & falls[None, :]).any(1)
-                return more, (more != falls).any()
-
-            begin = (~result.is_reserved, jnp.bool_(True))
-            falls, _ = jax.lax.while_loop(lambda carry: carry[1], widen, begin)
+            falls = fixed_point(
+                lambda falls: falls | (conflicts & falls[None, :]).any(1), ~result.is_reserved
+            )
             paths = jnp.where(falls, resort, result.paths)
             # Beyond the horizon the two kinds of path may conflict: forget that part.
             beyond = jnp.arange(ahead + 1)[:, None] > horizon
