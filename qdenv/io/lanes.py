@@ -24,7 +24,7 @@ from qdenv.types import InputError, Tile
 _VEHICLE = "robot"  # the one type of vehicle
 _FREE, _OCCUPIED = 254, 0  # grey of ROS's pictures
 
-_Node = tuple[str, float, float]  # symbol of the tile, x and y of its centre in metres
+_Node = tuple[str, float, float]  # name of the tile, x and y of its centre in metres
 _Edge = tuple[int, int, float]  # from node, to node, cost of the move
 
 
@@ -43,9 +43,11 @@ def _make_graph(
     if drawing.weights is not None:
         costs = costs_of(drawing.weights, free)
     places = np.argwhere(free).tolist()
+    symbols = [rows[row][col] for row, col in places]
+    tiles = [meanings.get(symbol, Tile(symbol)).name for symbol in symbols]
     nodes = [
-        (rows[row][col], round((col + 0.5) * side, 6), round((height - row - 0.5) * side, 6))
-        for row, col in places
+        (tile, round((col + 0.5) * side, 6), round((height - row - 0.5) * side, 6))
+        for tile, (row, col) in zip(tiles, places, strict=True)
     ]
     number = np.cumsum(free).reshape(-1) - 1
     kind, row, col = np.nonzero(existing_moves(free)[1:] & np.isfinite(costs[1:]))
@@ -53,7 +55,7 @@ def _make_graph(
     end = begin + move_steps(width)[1:][kind]
     parts = number[begin].tolist(), number[end].tolist(), costs[1 + kind, row, col].tolist()
     edges = sorted(zip(*parts, strict=True))
-    stations = [index for index, node in enumerate(nodes) if node[0] not in BLANKS]
+    stations = [index for index, symbol in enumerate(symbols) if symbol not in BLANKS]
     return nodes, edges, [f"r{row}c{col}" for row, col in places], stations
 
 
@@ -89,12 +91,12 @@ def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
     nodes = [
         {
             "nodeId": place,
-            "nodeName": meanings.get(symbol, Tile(symbol)).name,
+            "nodeName": tile,
             "mapId": name,
             "nodePosition": {"x": x, "y": y},
             "vehicleTypeNodeProperties": [{"vehicleTypeId": _VEHICLE}],
         }
-        for place, (symbol, x, y) in zip(names, places, strict=True)
+        for place, (tile, x, y) in zip(names, places, strict=True)
     ]
     edges = [
         {
@@ -125,11 +127,8 @@ def write_lif(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
 def write_rmf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:
     """Write a navigation graph of Open-RMF: stations have names, each lane leads one way."""
     nodes, edges, names, stations = _make_graph(path, drawing, meanings)
-    labels = dict.fromkeys(range(len(nodes)), "")
-    for one in stations:
-        symbol = nodes[one][0]
-        labels[one] = f"{meanings.get(symbol, Tile(symbol)).name} {names[one]}"
-    vertices = [[x, y, {"name": labels[i]}] for i, (_, x, y) in enumerate(nodes)]
+    labels = {one: f"{nodes[one][0]} {names[one]}" for one in stations}
+    vertices = [[x, y, {"name": labels.get(i, "")}] for i, (_, x, y) in enumerate(nodes)]
     lanes = [[begin, end, {}] for begin, end, _ in edges]
     lines = [f"building_name: {json.dumps(_name_of(path, drawing))}", "doors: {}", "lifts: {}"]
     lines += ["levels:", "  L1:"]
@@ -145,9 +144,8 @@ def write_nav2(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
     """Write a graph of Nav2's route server with the costs of moves as those of edges."""
     nodes, edges, names, _ = _make_graph(path, drawing, meanings)
     features: list[dict[str, Any]] = []
-    for one, (symbol, x, y) in enumerate(nodes):
-        about = {"tile": meanings.get(symbol, Tile(symbol)).name, "cell": names[one]}
-        facts = {"id": one, "frame": "map", "metadata": about}
+    for one, (tile, x, y) in enumerate(nodes):
+        facts = {"id": one, "frame": "map", "metadata": {"tile": tile, "cell": names[one]}}
         place = {"type": "Point", "coordinates": [x, y]}
         features.append({"type": "Feature", "properties": facts, "geometry": place})
     for number, (begin, end, cost) in enumerate(edges, len(nodes)):
