@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType, NoneType, UnionType
@@ -256,8 +256,7 @@ def read_table(path: Path | str, kind: type[Row]) -> Iterator[Row]:
     `kind` is their NamedTuple: columns of fields that have defaults may be missing. Raises
     InputError as `read_rows`, with row and column.
     """
-    hints = get_type_hints(kind)
-    optional: Collection[str] = getattr(kind, "_field_defaults")  # noqa: B009
+    hints, optional = _fields_of(kind)
     for number, row in enumerate(read_rows(path), start=1):
         unlike = [name for name in row if name not in hints]
         unlike += [name for name in hints if name not in row and name not in optional]
