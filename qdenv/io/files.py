@@ -46,21 +46,18 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
     `content` is the bytes, or a function that writes them to an open binary file; the folder is
     made if need be. Raises InputError if the place cannot be written to.
     """
-    if isinstance(content, bytes):
-        data = content
-        write_atomically(path, lambda file: file.write(data))
-        return
+    write = (lambda file: file.write(content)) if isinstance(content, bytes) else content
     temporary = None
     try:
         if (stream := find_stream(path)) is not None:
             sys.stdout.flush()  # what was printed before comes first
             with os.fdopen(os.dup(stream), "wb") as output:
-                output.write(_content_of(content))
+                output.write(_content_of(write))
             return
         path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
         if path.exists() and not path.is_file() and not path.is_dir():
             with path.open("wb") as device:  # or a pipe, which must not become a file
-                device.write(_content_of(content))
+                device.write(_content_of(write))
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         # mkstemp makes private files; results keep their permissions, or are ordinary ones.
@@ -72,7 +69,7 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
         )
         unfinished.add(temporary)
         with os.fdopen(handle, "wb") as file:
-            content(file)
+            write(file)
             file.flush()
             os.fsync(file.fileno())  # or a crash could leave the new name with no content
         os.chmod(temporary, mode)
