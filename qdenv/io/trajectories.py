@@ -91,11 +91,10 @@ def planviz(
     A path is a row of the moves R, L, D, U and W. Each goal of an agent is a task with one errand,
     scheduled when the agent sets out for it.
     """
-    steps = np.diff(positions, axis=0)
-    # Up and down come first: in a layout of one column right and left are the same steps.
-    kinds = [steps == step for step in grid.move_steps(width)[::-1]]
-    names = np.array([*_LETTERS])
-    letters = names[::-1][np.argmax(np.stack(kinds), axis=0)] if len(steps) else names[:0]
+    steps, letters = np.diff(positions, axis=0), np.full(finished.shape, "W")
+    # Up and down come last: in a layout of one column right and left are the same steps.
+    for letter, step in zip(_LETTERS, grid.move_steps(width), strict=True):
+        letters[steps == step] = letter
     tasks: list[list[Any]] = []
     events: list[list[int]] = []
     schedules = []
@@ -112,7 +111,7 @@ def planviz(
             schedule.append(f"{since}:{len(tasks)}")
             tasks.append([len(tasks), since, [int(x) for x in divmod(goals[since, agent], width)]])
         schedules.append(",".join(schedule))
-    paths = [",".join(column) for column in letters.T] if len(steps) else [""] * len(schedules)
+    paths = [",".join(column) for column in letters.T]
     starts = [[int(cell) // width, int(cell) % width, "N/A"] for cell in positions[0]]
     return {
         "actionModel": "MAPF",

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT
+from qdenv.grid import move_steps
 from qdenv.guidance import preferences
 from qdenv.simulation.mapf.settings import FleetConfig, describe_planner
 from qdenv.study.plans import Plan
@@ -112,7 +112,7 @@ def encode(motion: Motion, cols: int) -> Mapping[str, np.ndarray]:
     moves = np.full(motion.finished.shape, 255, np.uint8)
     steps = np.diff(motion.positions, axis=0)
     # In a layout of one column right and down are the same number, and down is meant.
-    for move, step in ((RIGHT, 1), (LEFT, -1), (DOWN, cols), (UP, -cols), (WAIT, 0)):
+    for move, step in enumerate(move_steps(cols)):
         moves[steps == step] = move
     if (moves == 255).any():
         step, agent = np.argwhere(moves == 255)[0]
