@@ -26,6 +26,7 @@ from qdenv.io.formats import redraw
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, write_table
 from qdenv.io.layouts import Drawing, check_size, free_cells, read_lines
 from qdenv.io.records import parse_json, structured
+from qdenv.lazy import ndimage
 from qdenv.types import InputError, Tile
 
 # Swamp is open ground; water is none, as it cannot be entered from the ground.
@@ -66,11 +67,9 @@ def _read_signs(rows: Sequence[str]) -> list[str]:
     """Turn the signs of a map into symbols."""
     if not any("E" in row for row in rows) or len({*map(len, rows)}) > 1:
         return [row.translate(_MOVING_AI) for row in rows]
-    from scipy.ndimage import binary_dilation, label  # here: other maps need none of it
-
     signs = np.array([[*row.translate(_RUNNERS)] for row in rows])
-    blocks, _ = label(signs == "@")
-    served = np.unique(blocks[binary_dilation(signs == "e")])
+    blocks, _ = ndimage.label(signs == "@")
+    served = np.unique(blocks[ndimage.binary_dilation(signs == "e")])
     signs[(signs == "@") & ~np.isin(blocks, served)] = "#"
     return ["".join(row) for row in signs]
 
