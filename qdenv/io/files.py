@@ -207,13 +207,10 @@ def tidy(value: Any) -> Any:
         return {str(name): tidy(one) for name, one in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
         return [tidy(one) for one in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, float):
         return float(f"{value:.6g}") if np.isfinite(value) else None  # float32 holds no more
-    return value if isinstance(value, str | None) else str(value)
+    return value if isinstance(value, str | int | None) else str(value)
 
 
 def refuse_second_run(folder: Path, begun: Sequence[str] = ()) -> None:
