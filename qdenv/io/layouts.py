@@ -126,7 +126,7 @@ def read_json_rows(path: Path) -> Drawing:
         raise damaged(path, 'expected an object with a list of strings under "layout", or the list')
     if weights is not None:
         weights = structured(weights, list[float], f"{path}, weights", infinite=True)
-    domain = content.get("domain")
+    domain = content["domain"] if isinstance(content.get("domain"), str) else None
     keep = tuple(drawings.get("keep", ()))
     rows = drawings.get("layout", [])
     starts = structured(content.get("starts", []), tuple[int, ...], f"{path}, starts")
@@ -136,7 +136,6 @@ def read_json_rows(path: Path) -> Drawing:
         raise damaged(path, "a task has no cell")
     own = ("n_row", "n_col", "layout", "weights", "domain", "keep", "starts", "tasks")
     details = {name: value for name, value in content.items() if name not in own}
-    domain = domain if isinstance(domain, str) else None
     return Drawing(rows, domain, keep, weights, details, starts, tasks)
 
 
