@@ -78,6 +78,7 @@ def prepare(
     capacity = config.goal_capacity or rows * cols
     traversable = jnp.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     goals = goal_table(layout, rule, capacity)
+    cells = pad(goals.cells, cols, planner.margin)
     distance, (kind, far) = None, distance_type(layout.size, costs is not None)
     sides = (planner.margin, planner.margin)
     walled = jnp.pad(traversable, planner.margin)
@@ -91,11 +92,10 @@ def prepare(
             distance = jnp.pad(distance, ((0, 0), sides, sides), constant_values=far)
             distance = distance.reshape(capacity, -1)
         else:
-            cells = pad(goals.cells, cols, planner.margin)
             distance = goal_costs(walled, costs, cells, used)
     return World(
         traversable=walled,
-        goals=goals._replace(cells=pad(goals.cells, cols, planner.margin)),
+        goals=goals._replace(cells=cells),
         distance=distance,
         # Stays that depend on the layout can be too long as well, which shows here only.
         valid=goals.complete & (goals.service_time.max() <= planner.max_service),
