@@ -130,9 +130,7 @@ class Environment:
 
     def _world(self, layout: jax.Array) -> World:
         goals = jax.tree.map(lambda leaf: leaf[layout], self._goals)
-        size = self._traversable[0].size
-        # No planner needs to know how far it is.
-        distance = jnp.zeros((0, size), jnp.int16)
+        distance = jnp.zeros((0, 0), jnp.int16)  # no planner needs to know how far it is
         return World(self._traversable[layout], goals, distance, jnp.bool_(True), margin=0)
 
     def reset(self, key: jax.Array, layout: Array | int = 0) -> tuple[EnvironmentState, Timestep]:
