@@ -11,7 +11,7 @@ from importlib.metadata import version
 from typing import Any
 
 from qdenv import devices
-from qdenv.run.directory import package_versions
+from qdenv.run.directory import RunDirectory, package_versions
 from qdenv.search.registry import ALGORITHMS
 from qdenv.study.groups import algorithm_name, group_runs
 from qdenv.view.archive import draw_archive, scatter_objectives
@@ -46,7 +46,7 @@ def make_report(
         title,
         facts=facts,
         subjects=subjects,
-        searches=[_search(one, n) for n, one in enumerate(subjects) if one.run is not None],
+        searches=[_search(one, one.run, n) for n, one in enumerate(subjects) if one.run],
         versions=versions,
         command=command,
         qdenv_version=version("qdenv"),
@@ -55,10 +55,8 @@ def make_report(
     )
 
 
-def _search(subject: Subject, number: int) -> dict[str, Any]:
+def _search(subject: Subject, run: RunDirectory, number: int) -> dict[str, Any]:
     """Return what the page shows of the run that a layout comes from."""
-    run = subject.run
-    assert run is not None
     schema, archive, heat_svg = run.schema, run.archive, ""
     elite = archive.best
     if len(schema.measures) <= 2:
