@@ -60,12 +60,11 @@ def make_replay(
     packed = {"tiles": plan.layout.astype(np.uint8), **encode(motion, cols)}
     scripts = [f"replay_{name}" for name in _SCRIPTS.split()]
     if plan.costs is not None:
-        passable = np.asarray(facts["free"])[plan.layout]
+        passable = plan.domain.drivable(plan.layout)
         facts["arrows"] = guidance.ARROWS
         packed["arrows"] = guidance.pack_arrows(preferences(plan.costs, passable))
         scripts[-1:-1] = ["arrows", "replay_arrows"]
     used = [(kind, tile) for kind, tile in enumerate(plan.domain.tiles) if kind in plan.layout]
-    names = plan.domain.names
     return make_page(
         "replay",
         f"Replay of {plan.name}",
@@ -76,7 +75,7 @@ def make_replay(
         about=about,
         maze=motion.headings is not None,
         serves=tasks is not None and any(goal.stay for goal in tasks.cycle),
-        tiles=[(names.get(tile, tile), colours[kind]) for kind, tile in used],
+        tiles=[(plan.domain.names.get(tile, tile), colours[kind]) for kind, tile in used],
     )
 
 
