@@ -61,14 +61,11 @@ def add_paths(
     def updates(cells: jax.Array, plane: jax.Array, mask: jax.Array) -> tuple[jax.Array, jax.Array]:
         row, column = cells // width, cells % width
         base = ((time * NUM_MOVES + plane) * rows + row) * words
-        places, values = [], []
-        for copy in range(_COPIES):
-            word = column // STRIDE - copy
-            bit = column - STRIDE * word
-            seen = mask & (word >= 0) & (bit < _WORD)
-            places.append(base + jnp.maximum(word, 0))
-            values.append(jnp.where(seen, jnp.uint32(1) << bit.astype(jnp.uint32) % _WORD, 0))
-        return jnp.stack(places), jnp.stack(values)
+        word = column[None] // STRIDE - jnp.arange(_COPIES)[:, None, None]
+        bit = column[None] - STRIDE * word
+        seen = mask[None] & (word >= 0) & (bit < _WORD)
+        value = jnp.where(seen, jnp.uint32(1) << bit.astype(jnp.uint32) % _WORD, 0)
+        return base[None] + jnp.maximum(word, 0), value
 
     mask = jnp.broadcast_to(mask, plane.shape)
     entered = updates(paths[1:], jnp.zeros_like(plane), mask)
