@@ -72,10 +72,9 @@ def make_request(
     most = max(agents, default=subjects[0].plan.facts.robots)
     usual, timesteps, note = usual_fleet(domain, layouts, most, timesteps)
     counts = tuple(sorted(agents)) or (usual,)
-    tasks = domain.simulator.tasks
     for one in subjects:
         with about(one.source):
-            fleet_tasks(one.plan.layout, tasks, counts[-1])
+            fleet_tasks(one.plan.layout, domain.simulator.tasks, counts[-1])
     rivals = [find_rival(one, subjects) for one in subjects]
     # A single number is compared with others, as many as fit the smallest of all layouts.
     single = counts[0] if len(counts) == 1 else None
