@@ -91,13 +91,9 @@ def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     tiles = jnp.searchsorted(useful, rank, side="right")
     far = jax.vmap(lambda tile: _distances(kinds, tile))(tiles)
     gap = far[jnp.argmax((far < _UNSEEN).sum(1))]
-
-    def farthest(gap: jax.Array) -> jax.Array:
-        return jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
-
-    one = farthest(gap)
+    one = jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
     gap = _distances(kinds, one)
-    two = farthest(gap)
+    two = jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
     length = jnp.where(useful[-1] > 0, gap[two], 0)
     # From places on the canvas to cells of the layout.
     row, col = jnp.divmod(jnp.sort(jnp.stack([one, two])), n + 2 * REACH)
