@@ -28,7 +28,7 @@ _FACTS = "facts"
 _EXAM_WALLS = (60, 90)  # of the held-out mazes, in a maze of 16 x 16
 _EXAM_EPISODES = 8  # in each of them
 
-Examine = Callable[[Weights], dict[str, float]]
+_Examine = Callable[[Weights], dict[str, float]]
 
 
 class State(NamedTuple):
@@ -168,8 +168,7 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
 
 def save_weights(weights: Weights, path: Path) -> None:
     """Write an agent that `policy.load_weights` reads; InputError where that is impossible."""
-    named = zip(Weights._fields, weights, strict=True)
-    arrays: dict[str, np.ndarray] = {name: np.asarray(array, np.float32) for name, array in named}
+    arrays = {name: np.asarray(one, np.float32) for name, one in weights._asdict().items()}
     write_arrays(path, arrays, compressed=True)
 
 
@@ -187,7 +186,7 @@ def load_state(path: Path, like: Any) -> tuple[Any, float]:
     return jax.tree.unflatten(structure, leaves), facts.get("cpu_seconds", 0.0)
 
 
-def _exam(config: TrainConfig) -> Examine:
+def _exam(config: TrainConfig) -> _Examine:
     """Prepare the held-out mazes: weights -> success rate for each number of walls."""
     size, batches = config.levels.size, {}
     for walls in _EXAM_WALLS:
@@ -209,7 +208,7 @@ def _exam(config: TrainConfig) -> Examine:
     return examine
 
 
-def choose(out: Path, average: int, examine: Examine) -> dict[str, float]:
+def choose(out: Path, average: int, examine: _Examine) -> dict[str, float]:
     """Keep the mean of the last agents of a run, or the last alone where that solves more.
 
     The mean of late agents may do better than each (Izmailov et al. 2018,
