@@ -80,8 +80,10 @@ def _ending_of(path: Path) -> str:
 
 def holds(ending: str, part: str) -> bool:
     """Return True if the usual format with an ending has a place for a part of a `Drawing`."""
-    fit = (one.endings[ending] for one in FORMATS.values() if one.write and ending in one.endings)
-    return part in next(fit, FORMATS["json"].endings[".json"])
+    formats = [
+        one.endings[ending] for one in FORMATS.values() if one.write and ending in one.endings
+    ]
+    return part in (formats or [FORMATS["json"].endings[".json"]])[0]
 
 
 def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
@@ -141,7 +143,7 @@ def write_drawing(
     write = pkgutil.resolve_name("{0.module}:{0.write}".format(FORMATS[name]))
     lost = write(path, drawing, meanings) or []
     # What the drawing has, and the file has no place for.
-    places = FORMATS[name].endings[_ending_of(path)]
+    places = FORMATS[name].endings.get(_ending_of(path), ("weights", *_ROBOTS, "details"))
     parts = {
         "weights": ("costs of moves are", drawing.weights is not None),
         "starts": ("the robots' starts are", bool(drawing.starts)),
