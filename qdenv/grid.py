@@ -53,13 +53,12 @@ def count_neighbours(mask: Array) -> Array:
 
 
 def fixed_point(change: Callable[[jax.Array], jax.Array], values: jax.Array) -> jax.Array:
-    """Apply a change to values of one shape again and again until none differs; traceable."""
-
-    def apply(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        changed = change(carry[0])
-        return changed, (changed != carry[0]).any()
-
-    return jax.lax.while_loop(lambda carry: carry[1], apply, (values, jnp.bool_(True)))[0]
+    """Apply a change to integers or truth values until none of them differs; traceable."""
+    return jax.lax.while_loop(
+        lambda pair: (pair[0] != pair[1]).any(),
+        lambda pair: (pair[1], change(pair[1])),
+        (~values, values),  # they differ, so that the loop begins
+    )[1]
 
 
 def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:

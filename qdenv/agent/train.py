@@ -168,7 +168,8 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
 
 def save_weights(weights: Weights, path: Path) -> None:
     """Write an agent that `policy.load_weights` reads; InputError where that is impossible."""
-    arrays = {name: np.asarray(one, np.float32) for name, one in weights._asdict().items()}
+    named = zip(Weights._fields, weights, strict=True)
+    arrays: dict[str, np.ndarray] = {name: np.asarray(array, np.float32) for name, array in named}
     write_arrays(path, arrays, compressed=True)
 
 

@@ -49,15 +49,15 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
     write = (lambda file: file.write(content)) if isinstance(content, bytes) else content
     temporary = None
     try:
-        if (stream := find_stream(path)) is not None:
+        if (stream := find_stream(path)) is None:
+            path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
+        # Nor may a device or a pipe become a file.
+        if stream is not None or not (path.is_file() or path.is_dir() or not path.exists()):
             sys.stdout.flush()  # what was printed before comes first
-            with os.fdopen(os.dup(stream), "wb") as output:
-                output.write(_content_of(write))
-            return
-        path = Path(os.path.realpath(path))  # what a link stands for is written, the link stays
-        if path.exists() and not path.is_file() and not path.is_dir():
-            with path.open("wb") as device:  # or a pipe, which must not become a file
-                device.write(_content_of(write))
+            buffer = io.BytesIO()
+            write(buffer)  # some need to go back in what they write to
+            with open(path if stream is None else os.dup(stream), "wb") as device:
+                device.write(buffer.getvalue())
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         # mkstemp makes private files; results keep their permissions, or are ordinary ones.
@@ -84,13 +84,6 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
             with contextlib.suppress(OSError):
                 os.unlink(temporary)
             unfinished.discard(temporary)
-
-
-def _content_of(write: Callable[[BinaryIO], object]) -> bytes:
-    """Return what a function writes: some need to go back in what they write to."""
-    buffer = io.BytesIO()
-    write(buffer)
-    return buffer.getvalue()
 
 
 def find_stream(path: Path) -> int | None:

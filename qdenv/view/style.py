@@ -77,10 +77,10 @@ styled = rc_context(_STYLE)
 class _StyledFigure(Figure):
     """A figure in this style: ticks, made only when it is drawn, read the style then."""
 
-    @styled
     def draw(self, renderer: Any) -> None:
         """Draw with this style, whatever the style of the session is."""
-        super().draw(renderer)
+        with rc_context(_STYLE):
+            super().draw(renderer)
 
 
 def new_figure(width: float, height: float, arrange: bool = True, dpi: int = _DPI) -> Figure:
