@@ -232,15 +232,24 @@ def test_the_page_states_what_fleets_move():
     assert "paper 6.74, which is {:.1f} and {:.1f} % more".format(*more) in PAGE
     ships = moved["warehouse-uneven", "CMA-MAE + NCA, zoo", "101 x 102", "our"]
     assert f"**{100 * (theirs / float(ships[:6]) - 1):.1f} % more**" in PAGE
-    uneven = next(
-        row[5]
+    searched = {
+        tuple(row[:2]): (
+            row[5].split(" ")[0].replace("/", " of "),
+            *re.findall(r"\d+(?=%)", row[5]),
+        )
         for row in table("table_5")
-        if row[:3] == ["warehouse-uneven", "CMA-MAE + NCA, first zoo", "101 x 102"]
-        and row[4].startswith("PBS")
-    )
-    good, runs, low, high = re.findall(r"\d+", uneven)
-    assert f"search {good} of {runs} runs of the first zoo's `warehouse-uneven` succeed" in PAGE
-    assert f"({low} to {high} %; paper 84 %) and move " in PAGE
+        if row[2] == "101 x 102" and row[4].startswith("PBS") and "/" in row[5]
+    }
+    for domain, agents, runs in (
+        ("warehouse-even", 1400, "runs of the first zoo's"),
+        ("warehouse-uneven", 1000, "of its"),
+    ):
+        good, low, high = searched[domain, "CMA-MAE + NCA, first zoo"]
+        paper = f"paper {TRAFFIC[domain, 'nca', agents].success:.0%}".replace("%", " %")
+        assert f"{good} {runs} `{domain}`" in PAGE and f"({low} to {high} %; {paper})" in PAGE
+    for alpha, does in ((0, "with alpha = 0 do"), (1, "with alpha = 1")):
+        good, low, high = searched["warehouse-even", f"CMA-MAE + NCA, alpha = {alpha}"]
+        assert f"{good} {does} ({low} to {high} %)" in PAGE
     driven = [
         json.loads((RESULTS / "zoo" / f"{name}.json").read_text())["generators"][0]["sizes"][-1]
         for name in ("warehouse-even", "warehouse-uneven", "manufacturing")
@@ -315,6 +324,12 @@ def test_the_page_states_the_peaks_and_what_congests():
     assert f"move {rates[2]:.2f} and {rates[4]:.2f} tasks per timestep; no other run does" in PAGE
     grown = f"{rates[3]:.2f}, {rates[5]:.2f} and {rates[1]:.2f}"
     assert f"the grown layouts move {grown}" in PAGE
+    made = {tuple(row[:2]): row[4:6] for row in table("figure_19") if "/" in row[4]}
+    success, moved = made["warehouse-uneven", "tiled"]
+    good, runs = map(int, success.split(" ")[0].split("/"))
+    _, grown = made["warehouse-uneven", "CMA-MAE + NCA, first zoo"]
+    text = f"the other {good} move {moved}, in the grown layout {grown}".replace("+-", "±")
+    assert f"{runs - good} of {runs} of `warehouse-uneven`'s; {text}." in PAGE
     jams = {"-".join(key): course(usage.path(Folders()).stem) for key, usage in USAGE.items()}
     assert [name for name, one in jams.items() if one["congested"]] == ["warehouse-even-tiled"]
     assert jams["warehouse-even-tiled"]["congested"] == 1
