@@ -101,7 +101,6 @@ def state_of(case: Case, distance: jax.Array) -> AgentState:
         previous=jnp.broadcast_to(position, (WINDOW + 1, 1)),
         distance=distance,
         row=jnp.array([[0], [1]]),
-        leg=jnp.zeros(1, jnp.int32),
     )
 
 

@@ -94,7 +94,7 @@ class AgentState(NamedTuple):
     row: jax.Array  # int32 [2, A], the rows of `distance` that belong to `goal`
     # int32 [A], which of the two goals the agent heads for, 1 while it is idle: both are one cell
     # then, which it need not leave and come back to
-    leg: jax.Array
+    leg: jax.Array | int = 0
 
 
 class Planner(NamedTuple):

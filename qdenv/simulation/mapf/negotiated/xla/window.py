@@ -134,7 +134,7 @@ def gather(
         penalty=penalty,
         tie_break=tie_break,
         costs=costs,
-        leg=state.leg[agent],
+        leg=jnp.broadcast_to(state.leg, state.position.shape)[agent],
     )
 
 
