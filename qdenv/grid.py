@@ -53,12 +53,14 @@ def count_neighbours(mask: Array) -> Array:
 
 
 def fixed_point(change: Callable[[jax.Array], jax.Array], values: jax.Array) -> jax.Array:
-    """Apply a change to integers or truth values until none of them differs; traceable."""
-    return jax.lax.while_loop(
-        lambda pair: (pair[0] != pair[1]).any(),
-        lambda pair: (pair[1], change(pair[1])),
-        (~values, values),  # they differ, so that the loop begins
-    )[1]
+    """Apply a change to numbers or truth values until none of them differs; traceable."""
+
+    def apply(state: tuple) -> tuple:
+        before, _ = state
+        after = change(before)
+        return after, (after != before).any()
+
+    return jax.lax.while_loop(lambda state: state[1], apply, (values, jnp.array(True)))[0]
 
 
 def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:

@@ -23,6 +23,7 @@ from typing import Any, TypeAlias, TypeVar
 import numba
 import numpy as np
 import platformdirs
+from numba import types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.registry import CPUDispatcher
 from numba.extending import register_jitable
@@ -123,6 +124,14 @@ def kernel(function: Function, forceinline: bool = False) -> Function:
 class _Kernel(CPUDispatcher):
     def __call__(self, *arguments: Any) -> Any:
         return self.outer(*arguments)
+
+    def get_call_template(self, args: tuple, kws: dict) -> tuple:
+        # Else numba compiles once more for constants, and for short integers.
+        kinds = [
+            types.int64 if isinstance(kind, types.Integer) and kind.signed else kind
+            for kind in map(types.unliteral, args)
+        ]
+        return super().get_call_template(tuple(kinds), kws)
 
 
 # Compile a `kernel` into its callers: a call hands over seven words per array of a record.

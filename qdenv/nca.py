@@ -223,8 +223,7 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
         cells = grow_one(solution, start, steps)
         logarithms = 2 * jnp.moveaxis(cells[..., kinds:], -1, 0) - 1
         edges = [(more // 2, more // 2) for more in np.subtract(layout.shape, start.shape[:2])]
-        logarithms = jnp.pad(logarithms * math.log(10), ((0, 0), *edges), "edge")
-        return scaled_costs(logarithms, base)
+        return scaled_costs(jnp.pad(logarithms * math.log(10), ((0, 0), *edges), "edge"), base)
 
     total = size + NUM_SMOOTH * smooth
     return Generator(total, config.steps, grow, frames=frames, guide=guide if guided else None)

@@ -43,6 +43,20 @@ def answer(x):
 
 print(answer(40), plus(40))
 """
+INTEGERS = """
+import numpy as np
+from qdenv.native import kernel
+
+@kernel
+def plus(x):
+    return x + 2
+
+@kernel
+def answer(numbers):
+    return plus(numbers[0]) + plus(numbers.size) - plus(1)
+
+print(answer(np.array([40], np.int32)), len(plus.signatures))
+"""
 
 
 @pytest.fixture
@@ -134,6 +148,11 @@ def test_python_and_other_kernels_call_a_kernel(package: Path, tmp_path: Path):
     (package / "outer.py").write_text(KERNELS)
     for variables in ({}, {}, {"NUMBA_DISABLE_JIT": "1"}):  # compiled, found on disk, not compiled
         assert run(package, tmp_path / "cache", **variables) == [42, 42]
+
+
+def test_a_kernel_is_compiled_once_for_all_integers(package: Path, tmp_path: Path):
+    (package / "outer.py").write_text(INTEGERS)
+    assert run(package, tmp_path / "cache") == [42, 1]
 
 
 def test_only_the_last_used_folders_are_kept(tmp_path: Path):

@@ -103,8 +103,7 @@ def _message(event: Any, target: Any, rules: Any) -> str:
 
 def help_of(field: Any) -> str:
     """Return the help of a field of tyro's, which may be a function that reads it in the source."""
-    text = field.helptext() if callable(field.helptext) else field.helptext
-    return text or ""
+    return (field.helptext() if callable(field.helptext) else field.helptext) or ""
 
 
 def _name_of(argument: Any) -> str:

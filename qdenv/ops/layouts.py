@@ -319,8 +319,7 @@ def layout_tile(
     say(*filter(None, [describe_growth(found, (rows, cols), ["steps", *numbers])]))
     details = sizes.details(tiled) | {"domain": found.name}
     details["tiled_from"] = Path(args.name_of(layout)).name
-    made = Layout(tiled.layout, found, details, details, tiled.costs)
-    return save_with_picture(made, target)
+    return save_with_picture(Layout(tiled.layout, found, details, details, tiled.costs), target)
 
 
 def layout_symbols(domain: args.DomainName = None) -> None:

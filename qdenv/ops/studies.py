@@ -216,9 +216,8 @@ class _Fleets:
         if len(counts) > 2 and len(steps) == 1:
             written = f"{counts[0]}:{counts[-1]}:{steps.pop()}"
         # Columns fit the names of the layouts.
-        self._long = max(6, *(len(name) for name in plans)) + (
-            max(map(len, names)) + 2 if len(fleets) > 1 else 0
-        )
+        wide = max(map(len, names)) + 2 if len(fleets) > 1 else 0
+        self._long = max(6, *map(len, plans)) + wide
         hour = "  tasks/hour" if self._per_hour else ""
         head = "  size     agents  throughput (s.e.)  success (95 %)    mean of all"
         planners = [one.planner for one in fleets]

@@ -87,8 +87,7 @@ class Facts:
 
     def must(self, tiles: str) -> np.ndarray:
         """Mark the cells that hold one of `tiles` in every layout (bool [H, W])."""
-        others = (self.rules.allowed & ~self.holding(tiles)).any(-1)
-        return self.may(tiles) & ~others
+        return self.may(tiles) & ~(self.rules.allowed & ~self.holding(tiles)).any(-1)
 
     def room(self, rule: Cover) -> np.ndarray:
         """Mark the cells that a whole rectangle may cover (bool [H, W])."""

@@ -130,8 +130,7 @@ def _selected(own: Population, held: jax.Array, score: Score) -> tuple[Populatio
     counts = jnp.concatenate([now.times, new.astype(jnp.int32)])
     worth = totals / jnp.maximum(counts, 1) - jnp.sqrt(noise / jnp.maximum(counts, 1))
     best = jax.lax.top_k(jnp.where(counts > 0, worth, -jnp.inf), members)[1]
-    after = Population(held[best], totals[best], counts[best], noise)
-    return now, after
+    return now, Population(held[best], totals[best], counts[best], noise)
 
 
 def changed(key: jax.Array, tiles: jax.Array, choices: int, odds: jax.Array) -> jax.Array:

@@ -326,8 +326,7 @@ def station_tiles(domain: Domain) -> str:
     tasks = domain.simulator.tasks
     # Robots drive onto stations that no generator draws, unlike walls.
     drivable = tasks.traversable if tasks else domain.tiles
-    stations = (set(drivable) - set(domain.generated)) | set("".join(at_least))
-    return "".join(sorted(stations))
+    return "".join(sorted((set(drivable) - set(domain.generated)) | set("".join(at_least))))
 
 
 def list_changes(before: np.ndarray, after: np.ndarray, domain: Domain) -> list[dict[str, Any]]:

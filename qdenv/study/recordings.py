@@ -142,8 +142,7 @@ def fading(runs: Sequence[Traffic]) -> float:
     quarter = len(finished) // 4
     early, late = finished[quarter : 2 * quarter].sum(), finished[len(finished) - quarter :].sum()
     # Counts of independent events have their own number as variance (Poisson).
-    sure = early - late > _DOUBT * np.sqrt(early + late)
-    return float(1 - late / early) if sure else 0.0
+    return float(1 - late / early) if early - late > _DOUBT * np.sqrt(early + late) else 0.0
 
 
 class Motion(NamedTuple):

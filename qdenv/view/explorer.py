@@ -249,8 +249,7 @@ def _pack_growth(
         rows.extend(batch)
         done = len(rows) / min(len(archive), limit or len(archive))
         progress("growing", max(done, size / _BUDGET if limit is None else 0), "")
-    facts = {"steps": steps, "rows": rows, "chunk": _GROWN, "differing": differing}
-    return facts, chunks
+    return {"steps": steps, "rows": rows, "chunk": _GROWN, "differing": differing}, chunks
 
 
 def pack_bits(tiles: np.ndarray, bits: int) -> np.ndarray:

@@ -82,8 +82,7 @@ def run_episode(
     The episode fails after `timesteps` actions. Both loops give the same episode for one key.
     """
     first, draws = _begin(weights, tables, key, timesteps)
-    last = loop(partial(_act_once, weights, tables), first, draws)
-    return _report(tables, last)
+    return _report(tables, loop(partial(_act_once, weights, tables), first, draws))
 
 
 def _report(tables: Tables, last: EpisodeState) -> Episode:

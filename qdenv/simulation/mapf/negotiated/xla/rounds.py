@@ -236,8 +236,7 @@ def choose(conflicts: jax.Array, candidates: jax.Array) -> jax.Array:
 
     The greedy choice in `rules.SWEEPS` sweeps over all at once.
     """
-    count = candidates.shape[0]
-    earlier = conflicts & (jnp.arange(count)[:, None] > jnp.arange(count)[None, :])
+    earlier = conflicts & jnp.tri(len(candidates), k=-1, dtype=bool)
     chosen = candidates
     for _ in range(rules.SWEEPS):
         chosen = candidates & ~(earlier & chosen[None, :]).any(1)
