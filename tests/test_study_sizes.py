@@ -91,6 +91,8 @@ def test_a_series_obeys_rules_on_aisles_and_racks(run):
     for item in sizes.grow_sizes(run, "best", [(14, 13), (9, 9)], rules=rules):
         domain = WAREHOUSE.resized(*item.layout.shape, item.numbers | rules)
         assert len(domain.rules().covers) == 1 and audit(item.layout, domain.rules()) == []
+        (same,) = qdenv.series(run, sizes=[item.layout.shape], **rules)
+        np.testing.assert_array_equal(same.layout, item.layout)
 
 
 def test_a_series_of_a_guided_automaton_has_the_costs_of_each_size(tmp_path):

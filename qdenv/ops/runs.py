@@ -225,7 +225,7 @@ def series(
         run: folder of the run.
         elite: "best", or the indices of an archive cell like 12,40.
         sizes: rows and columns of each layout, like 33x36 57x58; by default seven sizes from
-            33x36 to 101x102.
+            33x36 to 101x102. In Python also (33, 36).
         steps: steps of growth for each size; by default those known for it, or else scaled.
         seed: other seeds give other repairs of about equal cost; by default the run's own.
         human: also draw what people design at each size.

@@ -73,12 +73,13 @@ def details(sized: Sized) -> dict[str, int | float | str]:
     }
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Read a size like ``57x58`` (rows x columns); raise InputError if it is none."""
-    rows, _, cols = text.partition("x")
-    if not re.fullmatch(r"0?[1-9]\d{0,8}x0?[1-9]\d{0,8}", text):
-        raise InputError(f"size {text!r}: give rows and columns like 57x58")
-    return int(rows), int(cols)
+def parse_size(size: Any) -> tuple[int, int]:
+    """Read a size like "57x58" (rows x columns) or (57, 58); raise InputError if it is none."""
+    text = "x".join(map(str, size)) if isinstance(size, tuple | list) else str(size)
+    numbers = re.fullmatch(r"(0?[1-9]\d{0,8})x(0?[1-9]\d{0,8})", text)
+    if not numbers:
+        raise InputError(f"size {size!r}: give rows and columns like 57x58")
+    return int(numbers[1]), int(numbers[2])
 
 
 def grow_series(

@@ -61,8 +61,7 @@ def _backward(
         for j in range(size)
     ]
     columns = jnp.concatenate(windows, axis=-1).reshape(-1, size * size * channels)
-    by_kernel = columns.T @ gradient.reshape(-1, gradient.shape[-1])
-    return by_maps, by_kernel.reshape(kernel.shape)
+    return by_maps, (columns.T @ gradient.reshape(-1, gradient.shape[-1])).reshape(kernel.shape)
 
 
 convolve.defvjp(
