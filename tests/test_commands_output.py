@@ -113,6 +113,16 @@ def test_names_that_would_lose_something_are_refused(folder, out, endings, said)
         place(Path(out), "plan.json", endings, ["0:9,0:9+" * 40, Path("read.json")])
 
 
+def test_a_file_may_have_commas_in_its_name(folder):
+    for name in ("a,b.json", "b.json"):
+        Path(name).touch()
+    beside = place(Path("b.json"), "plan.json", inputs=[Path("a,b.json")])
+    assert beside == Place(Path("b.json"), True)
+    for stated, name in {"w+a,b.json": "a,b.json", "b.json,c.json": "b.json"}.items():
+        with pytest.raises(InputError, match="that is what is read"):
+            place(Path(name), "plan.json", inputs=[stated])
+
+
 @pytest.mark.parametrize(
     "line", ["check p.txt --keep k.txt", "generate zoo:maze-walls --plan k.txt"]
 )

@@ -260,7 +260,8 @@ def train_agent(
             refuse_second_training(out)
         write_json(out / "config.json", asdict(config))
         examine = _exam(config)
-        if int(state.update) >= config.updates:  # else a run killed in its last exam has no agent
+        # A run that was killed in its last exam has no agent.
+        if int(state.update) >= config.updates and any((out / "agents").glob("*.npz")):
             choose(out, config.average, examine)
         # The log shows the seconds of the whole run, those before an interruption too.
         began, logs = time.process_time() - used, []

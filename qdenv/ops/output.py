@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import logging
 import os.path
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -98,7 +97,9 @@ def place(
         raise InputError(f"{path}: that is a folder: name a file in it, like {better}")
     # Two names of one file are the same file: links, other spellings.
     named = [str(one) for one in inputs if isinstance(one, str | Path)]
-    files = filter(os.path.exists, [*named, *re.split("[+,]", ",".join(named))])  # w+KEEP, A,B
+    joined = [one for one in named if not os.path.exists(one)]  # w+KEEP, A,B
+    parts = [part for one in joined for sign in "+," for part in one.split(sign)]
+    files = filter(os.path.exists, [*named, *parts])
     if path.exists() and any(map(path.samefile, files)):
         raise InputError(f"{path}: that is what is read: choose another name")
     if find_stream(path) is not None:  # what is behind it is not replaced

@@ -293,8 +293,7 @@ def count_moves(world: World, key: jax.Array, config: FleetConfig) -> jax.Array:
     is_move = jnp.asarray(move_steps(cols))[:, None, None] == (after - before)[None]
     driven = (jnp.arange(config.timesteps) < traffic.end_timestep)[:, None] & recording.active[None]
     counts = jnp.zeros((NUM_MOVES, rows * cols), jnp.int32)
-    counts = counts.at[is_move.argmax(axis=0), before].add(driven)
-    return counts.reshape(NUM_MOVES, rows, cols)
+    return counts.at[is_move.argmax(axis=0), before].add(driven).reshape(NUM_MOVES, rows, cols)
 
 
 def compile_runs(

@@ -72,8 +72,7 @@ def add_paths(
     left = updates(paths[:-1], plane, mask & (plane > 0))
     places = jnp.concatenate([entered[0].reshape(-1), left[0].reshape(-1)])
     values = jnp.concatenate([entered[1].reshape(-1), left[1].reshape(-1)]).astype(jnp.uint32)
-    values = values if sign > 0 else -values
-    return table.at[places].add(values, mode="promise_in_bounds")
+    return table.at[places].add(values if sign > 0 else -values, mode="promise_in_bounds")
 
 
 class Reservations(NamedTuple):
