@@ -53,14 +53,12 @@ def count_neighbours(mask: Array) -> Array:
 
 
 def fixed_point(change: Callable[[jax.Array], jax.Array], values: jax.Array) -> jax.Array:
-    """Apply a change to numbers or truth values until none of them differs; traceable."""
-
-    def apply(state: tuple) -> tuple:
-        before, _ = state
-        after = change(before)
-        return after, (after != before).any()
-
-    return jax.lax.while_loop(lambda state: state[1], apply, (values, jnp.array(True)))[0]
+    """Apply a change to numbers or truth values, none NaN, until none differs; traceable."""
+    return jax.lax.while_loop(
+        lambda state: state[1],
+        lambda state: (after := change(state[0]), (after != state[0]).any()),
+        (values, jnp.array(True)),
+    )[0]
 
 
 def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:

@@ -90,8 +90,8 @@ def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     rank = (jax.random.uniform(key, (_SWEEPS,)) * useful[-1]).astype(jnp.int32)
     tiles = jnp.searchsorted(useful, rank, side="right")
     far = jax.vmap(lambda tile: _distances(kinds, tile))(tiles)
-    gap = far[jnp.argmax((far < _UNSEEN).sum(1))]
-    one = jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
+    begin = far[jnp.argmax((far < _UNSEEN).sum(1))]
+    one = jnp.argmax(jnp.where(begin < _UNSEEN, begin, -1))
     gap = _distances(kinds, one)
     two = jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
     length = jnp.where(useful[-1] > 0, gap[two], 0)
