@@ -9,7 +9,7 @@ import pytest
 import qdenv
 from experiments.benchmarks import common, search
 from experiments.benchmarks.pages import find_browser, pages
-from experiments.benchmarks.simulation import simulate
+from experiments.benchmarks.simulation import scale, simulate
 from experiments.benchmarks.training import shortest_time
 from qdenv.study import options
 from qdenv.surrogates.settings import SurrogateConfig
@@ -58,6 +58,8 @@ def test_fleets_are_compared_with_recorded_runs(tmp_path):
     reference.write_text('{"records": [{}]}')
     with pytest.raises(qdenv.InputError, match="no file of recorded runs"):
         simulate(reference)
+    with pytest.raises(qdenv.InputError, match="timesteps must be above 5"):
+        scale(timesteps=5)
 
 
 def test_the_shortest_time_of_a_cluster_counts_its_waits():

@@ -24,6 +24,7 @@ from qdenv.repairs.recipe import repair_layout
 from qdenv.simulation.maze.policy import Weights, draw_weights, load_weights
 from qdenv.simulation.maze.world import longest_path
 from qdenv.study.elites import parse_size
+from qdenv.types import InputError
 from qdenv.view.style import new_figure, save_figure
 
 DOMAINS = {  # by their names in the file of recorded runs
@@ -164,6 +165,8 @@ def scale(
         plot: file of a log-log plot with the slopes.
         json: file of the result.
     """
+    if timesteps <= WINDOW:
+        raise InputError(f"timesteps must be above {WINDOW}, those of one plan, not {timesteps}")
     shapes = [parse_size(size) for size in sizes]
     directory = qdenv.RunDirectory.open(run)
     config = directory.config.evaluation
