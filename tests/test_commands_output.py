@@ -97,6 +97,7 @@ def test_a_picture_lies_beside_its_data(folder):
     [
         ("plan.png", (), "a picture's name: name the data plan.json"),
         ("plan.SVG", (), "a picture's name"),
+        ("plan.jpg", (), "a picture's name"),
         ("plan.json", PICTURES, r"ends in .png or .svg or .pdf"),
         ("folder", (), "that is a folder: name a file in it, like folder/plan.json"),
         ("read.json", (), "that is what is read"),
@@ -117,10 +118,26 @@ def test_a_file_may_have_commas_in_its_name(folder):
     for name in ("a,b.json", "b.json"):
         Path(name).touch()
     beside = place(Path("b.json"), "plan.json", inputs=[Path("a,b.json")])
-    assert beside == Place(Path("b.json"), True)
+    assert beside == Place(Path("b.json"), True, read=[Path("a,b.json")])
     for stated, name in {"w+a,b.json": "a,b.json", "b.json,c.json": "b.json"}.items():
         with pytest.raises(InputError, match="that is what is read"):
             place(Path(name), "plan.json", inputs=[stated])
+
+
+def test_what_an_input_names_and_what_lies_beside_it_is_not_replaced(folder):
+    Path("plan.txt").write_text("\n".join(ROWS))
+    Path("plan.toml").write_text('keep = "w+keep.txt"\ndemand = "odds.csv"\n')
+    Path("run").mkdir()
+    names = ("keep.txt", "odds.csv", "plan.toml", "m.map", "run/metrics.csv")
+    for name in (*names[:2], *names[3:], "m.scen", "plan.map", "run/mine.csv", "p.csv", "p.png"):
+        Path(name).touch()
+    inputs = ["plan.txt", "m.scen", "run"]
+    for name in names:
+        with pytest.raises(InputError, match="that is what is read"):
+            place(Path(name), "plan.json", inputs=inputs)
+    for name in ("plan.map", "run/mine.csv"):
+        assert place(Path(name), "plan.json", inputs=inputs).replaces
+    assert str(place(Path("p.csv"), "p.csv", inputs=["p.png"]).beside(".png")) == "p-2.png"
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ TEMPORARY_PREFIX = ".qdenv-tmp-"
 # Ours alone, too: old versions of the library of the lock empty the file.
 LOCK = ".qdenv-lock"
 # Files of all kinds of runs; a search or a training has one of the first two.
-_RUN_FILES = (
+RUN_FILES = (
     *("config.json", "checkpoint.npz", "manifest.json", "metrics.csv", "notes.csv", "start.npz"),
     *("checkpoints", "archive.npz", "archive.png", "progress.png", "notes.png", "best_layout.png"),
     *("best_layout.json", "guidance.json", "guidance.png", "before_after.csv", "improve.json"),
@@ -211,11 +211,11 @@ def refuse_second_run(folder: Path, begun: Sequence[str] = ()) -> None:
 
     `begun` are the names of files that a process which was killed left before its run counted.
     """
-    for name in _RUN_FILES:
+    for name in RUN_FILES:
         path = folder / name
         if name in begun or not (path.exists() or path.is_symlink()):
             continue
-        if name in _RUN_FILES[:2]:
+        if name in RUN_FILES[:2]:
             raise InputError(f"{folder}: holds a run already; `qdenv resume {folder}` continues it")
         raise InputError(f"{path}: a run would replace it: name a new folder")
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import logging
 import os.path
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,9 +15,9 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.io.facts import write_facts
-from qdenv.io.files import check_writable, find_stream, reserve
+from qdenv.io.files import RUN_FILES, check_writable, find_stream, reserve
 from qdenv.io.formats import need_library
-from qdenv.io.layouts import write_layout
+from qdenv.io.layouts import read_drawing, write_layout
 from qdenv.shipped import refuse_inside
 from qdenv.study.plans import is_plain
 from qdenv.types import InputError
@@ -45,6 +46,7 @@ class Place(NamedTuple):
     path: Path  # the file
     replaces: bool  # it exists already, and was named by the user
     automatic: bool = False  # its name was chosen here, and it replaces nothing
+    read: Sequence[Path] = ()  # files that may not be replaced
 
     def __str__(self) -> str:
         """Return the path as commands print it."""
@@ -54,10 +56,11 @@ class Place(NamedTuple):
         """Return the place of another result: the same name, another ending.
 
         It replaces a file only where this place does: a picture of that name that was there before
-        its data is the user's own, and the next free name is taken.
+        its data, or is read, is the user's own, and the next free name is taken.
         """
         path = self.path.with_name(f"{self.path.stem}{ending}")
-        if ending and (self.automatic or (not self.replaces and path.exists())):
+        own = path.exists() and (not self.replaces or any(map(path.samefile, self.read)))
+        if ending and (self.automatic or own):
             return Place(reserve(path), False, True)
         return Place(path, path.exists())
 
@@ -76,7 +79,8 @@ def place(
 
     `AUTO` takes `default`, a name in the current folder, or the next free name like it
     (plan-2.json), which no other process gets from now on. Without `endings` it is data, which any
-    but a picture's ending may name. Files among `inputs` are read, and must not be overwritten.
+    but a picture's ending may name. Files among `inputs` are read, with those that they name, and
+    must not be overwritten.
     Raises InputError if the ending is none of them, or the place is a folder, an input, read-only.
     """
     if out is None:
@@ -88,7 +92,7 @@ def place(
     need_library(ending)
     if endings and ending not in endings:
         raise InputError(f"{path}: give a name that ends in {' or '.join(endings)}")
-    if not endings and ending in PICTURES + FILMS:
+    if not endings and ending in (*PICTURES, *FILMS, ".jpg", ".jpeg", ".webp"):
         better = path.with_suffix(Path(default).suffix)
         beside = f"name the data {better}, pictures are drawn beside it"
         raise InputError(f"{path}: that is a picture's name: {beside}")
@@ -99,14 +103,30 @@ def place(
     named = [str(one) for one in inputs if isinstance(one, str | Path)]
     joined = [one for one in named if not os.path.exists(one)]  # w+KEEP, A,B
     parts = [part for one in joined for sign in "+," for part in one.split(sign)]
-    files = filter(os.path.exists, [*named, *parts])
-    if path.exists() and any(map(path.samefile, files)):
+    files = [Path(one) for one in (*named, *parts) if os.path.exists(one)]
+    if path.exists() and any(
+        one.exists() and path.samefile(one) for file in files for one in _all_read(file)
+    ):
         raise InputError(f"{path}: that is what is read: choose another name")
     if find_stream(path) is not None:  # what is behind it is not replaced
         return Place(path, False)
     refuse_inside(path)
     check_writable(path)
-    return Place(path, path.is_file())
+    return Place(path, path.is_file(), read=files)
+
+
+def _all_read(path: Path) -> Iterator[Path]:
+    """List an input file and those that it names or that lie beside it; of a run, its files."""
+    if not path.is_file():
+        yield from (path / name for name in RUN_FILES)
+        return
+    yield from (path, path.with_suffix(".toml"))
+    if path.suffix.lower() == ".scen":
+        yield path.with_suffix(".map")
+    with contextlib.suppress(InputError):  # it is no layout
+        facts = read_drawing(path).details.get("facts", {})
+        for named in (str(facts.get(name, "")).split("+") for name in ("keep", "demand")):
+            yield from (path.parent / one for one in named)
 
 
 def place_table(
