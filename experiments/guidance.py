@@ -25,7 +25,6 @@ from typing import Any, NamedTuple, get_args
 import jax
 import jax.numpy as jnp
 
-from experiments.layouts import FIRST_ZOO
 from experiments.pieces import table
 from experiments.program import run_program
 from experiments.runs import whole_run
@@ -34,7 +33,6 @@ from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
 from qdenv.generators import Base
 from qdenv.guidance import unscaled_costs
 from qdenv.io.layouts import write_layout
-from qdenv.ops.runs import generate
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal
@@ -102,7 +100,7 @@ class Case(NamedTuple):
     """A row of the published table."""
 
     domain: str
-    floor: str  # name of a published file, or path of a run whose best elite draws it
+    floor: str  # name of a published file, or path of another
     graph: str  # file of the published graph; "" where only the floor is at hand
     fleet: FleetConfig
     published: dict[str, float]  # throughput by guidance; "graph" is that of the published file
@@ -143,7 +141,7 @@ CASES = {
     # As `qdenv guide calm.json --robots 640 --planner pibt --timesteps 1000` drives.
     "calm": Case(
         "warehouse-even",
-        str(FIRST_ZOO / "warehouse-even-calm"),
+        str(FOUND / "calm-0.json"),
         "",
         FleetConfig(640, 1000, planner=PibtConfig()),
         {},
@@ -160,11 +158,10 @@ def published(name: str) -> Path:
 
 
 def read_floor(case: Case) -> Plan:
-    """Read the published floor of a case, or grow that of the first zoo."""
-    if not Path(case.floor).is_dir():
-        return read_plan(published(case.floor), case.domain)
-    grown = generate(case.floor)
-    return Plan(case.floor, grown.layout, grown.domain, assumed=False)
+    """Read the floor of a case, without costs."""
+    path = Path(case.floor)
+    plan = read_plan(path if path.exists() else published(case.floor), case.domain)
+    return plan._replace(costs=None)
 
 
 def find_costs(name: str, seed: int, simulations: tuple[int, int]) -> None:

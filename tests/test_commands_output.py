@@ -124,19 +124,29 @@ def test_a_file_may_have_commas_in_its_name(folder):
             place(Path(name), "plan.json", inputs=[stated])
 
 
-def test_what_an_input_names_and_what_lies_beside_it_is_not_replaced(folder):
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(f"check plan.txt --json {name}" for name in ("keep.txt", "odds.csv", "plan.toml")),
+        "check m.scen --json m.map",
+        "export run --out run/metrics.csv",
+    ],
+)
+def test_what_an_input_names_or_has_beside_it_is_not_replaced(folder, capsys, line):
     Path("plan.txt").write_text("\n".join(ROWS))
     Path("plan.toml").write_text('keep = "w+keep.txt"\ndemand = "odds.csv"\n')
     Path("run").mkdir()
-    names = ("keep.txt", "odds.csv", "plan.toml", "m.map", "run/metrics.csv")
-    for name in (*names[:2], *names[3:], "m.scen", "plan.map", "run/mine.csv", "p.csv", "p.png"):
+    for name in ("keep.txt", "odds.csv", "m.map", "m.scen", "run/metrics.csv"):
         Path(name).touch()
-    inputs = ["plan.txt", "m.scen", "run"]
-    for name in names:
-        with pytest.raises(InputError, match="that is what is read"):
-            place(Path(name), "plan.json", inputs=inputs)
-    for name in ("plan.map", "run/mine.csv"):
-        assert place(Path(name), "plan.json", inputs=inputs).replaces
+    assert run(line.split()) == 2
+    assert (
+        f"{line.split()[-1]}: that is what is read: choose another name" in capsys.readouterr().err
+    )
+
+
+def test_a_picture_beside_a_table_does_not_replace_what_is_read(folder):
+    for name in ("p.csv", "p.png"):
+        Path(name).touch()
     assert str(place(Path("p.csv"), "p.csv", inputs=["p.png"]).beside(".png")) == "p-2.png"
 
 

@@ -197,6 +197,11 @@ def _run_command(name: str, typed: list[str]) -> int:
                 continue
             if written.setdefault(os.path.realpath(one), option) != option:
                 raise InputError(f"{one}: named twice: what is written needs a name of its own")
+        old = set(filter(os.path.isfile, written))
+        for one in filter(os.path.exists, map(str, flat(arguments))) if old else ():
+            for read in [] if os.path.realpath(one) in old else _read_with(Path(one)):
+                if os.path.realpath(read) in old:
+                    raise InputError(f"{read}: that is what is read: choose another name")
         if not to_stdout:
             target = place(facts_file, "facts.json", inputs=flat(arguments))
         # Nothing but the facts is written to standard output if they are written there.
@@ -280,3 +285,21 @@ def main() -> None:
         code = stop.code if isinstance(stop.code, int) else 0
     # Everything is written. The rest of the interpreter's end would take time, and crash on Ctrl-C.
     os._exit(code)
+
+
+def _read_with(path: Path) -> Iterator[Path]:
+    """List what is read with an input: files that it names, or that lie beside it, a run's own."""
+    from qdenv.io.files import RUN_FILES
+    from qdenv.io.layouts import read_drawing
+    from qdenv.types import InputError
+
+    if not path.is_file():
+        yield from (path / name for name in RUN_FILES)
+        return
+    yield path.with_suffix(".toml")
+    if path.suffix.lower() == ".scen":
+        yield path.with_suffix(".map")
+    with contextlib.suppress(InputError):  # it is no layout
+        facts = read_drawing(path).details.get("facts", {})
+        for named in (str(facts.get(name, "")).split("+") for name in ("keep", "demand")):
+            yield from (path.parent / one for one in named)

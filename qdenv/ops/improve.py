@@ -40,7 +40,7 @@ class Improvement(NamedTuple):
 
     section: str  # lanes, racks, rows or floor
     lanes: str  # costs of moves that are part of it; "none"
-    racks_moved: int  # cells from which a rack of the plan is gone
+    racks_moved: int  # cells from which a shelf of the plan is gone
     agents: int  # for which the next three are
     throughput: float  # tasks per timestep, averaged over all seeds
     percent: float  # how much more than the plan

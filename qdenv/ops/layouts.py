@@ -160,7 +160,7 @@ def repair(
             (0:7,33:40), or a drawing where ? may change and ! or a tile stays; + joins several.
         seed: other seeds may give other layouts of about equal cost.
         polish: how hard to try after the first feasible layout.
-        out: layout file to write (.json, .txt, .csv); by default LAYOUT_repaired.json.
+        out: layout file to write (.json, .txt, .csv, .xlsx, .dxf); by default LAYOUT_repaired.json.
         plot: picture to write, of what changed.
         **numbers: exact numbers of tiles; by default those that the file states, else the layout's.
 
@@ -244,8 +244,8 @@ def layout_human(
         rows: rows of the layout, frame included.
         cols: columns of the layout, frame included.
         domain: domain of the layout.
-        out: layout file to write (.json, .txt, .csv), with a picture beside it; by default
-            layout.json.
+        out: layout file to write (.json, .txt, .csv, .xlsx, .dxf), with a picture beside it; by
+            default layout.json.
 
     Raises:
         InputError: the size is impossible, or the domain has no such design.
@@ -291,8 +291,8 @@ def layout_tile(
         domain: domain of the layouts; by default what the file states, or its tiles suggest.
         seed: other seeds give other repairs of about equal cost.
         polish: how hard to repair.
-        out: layout file to write (.json, .txt, .csv), with a picture beside it; by default
-            LAYOUT_tiled.json.
+        out: layout file to write (.json, .txt, .csv, .xlsx, .dxf), with a picture beside it; by
+            default LAYOUT_tiled.json.
         **numbers: exact numbers of tiles; by default those known for the size, or else scaled
             with the area.
 

@@ -277,7 +277,7 @@ def surrogate(
     """
     config, chosen = find_surrogate(size, settings), parse_seeds(seeds)
     name = file_name(Path(str(run)))
-    table, picture = place_table(out, plot, f"{name}_surrogate", [run])
+    table, picture = place_table(out, plot, f"{name}_surrogate")
     opened = args.open_run(run)
     _ = opened.archive  # refuses a folder without one, before jax is imported
     from qdenv.study.surrogate import read_elites, scores_to_dict, try_surrogate

@@ -192,7 +192,7 @@ class GuideOptions(RunOptions, total=False):
 class ImproveOptions(RunOptions, total=False):
     """A search of better plans, with runs as `RunOptions` says."""
 
-    moves: PositiveInt  # most racks that the search of some racks moves; by default 20
+    moves: PositiveInt  # most shelves that the search of some racks moves; by default 20
     shelves: Range  # number of shelves, as 1100 or 1000:1200; else the plan's
     aisle: PositiveInt  # least width of aisles in cells; else the plan's
     rack: str  # shape of the smallest rack, as 2x6; else the plan's

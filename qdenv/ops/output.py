@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import html
 import logging
 import os.path
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,9 +14,9 @@ import numpy as np
 
 from qdenv.domains.base import Domain
 from qdenv.io.facts import write_facts
-from qdenv.io.files import RUN_FILES, check_writable, find_stream, reserve
+from qdenv.io.files import check_writable, find_stream, reserve
 from qdenv.io.formats import need_library
-from qdenv.io.layouts import read_drawing, write_layout
+from qdenv.io.layouts import write_layout
 from qdenv.shipped import refuse_inside
 from qdenv.study.plans import is_plain
 from qdenv.types import InputError
@@ -79,8 +78,7 @@ def place(
 
     `AUTO` takes `default`, a name in the current folder, or the next free name like it
     (plan-2.json), which no other process gets from now on. Without `endings` it is data, which any
-    but a picture's ending may name. Files among `inputs` are read, with those that they name, and
-    must not be overwritten.
+    but a picture's ending may name. Files among `inputs` are read, and must not be overwritten.
     Raises InputError if the ending is none of them, or the place is a folder, an input, read-only.
     """
     if out is None:
@@ -104,29 +102,13 @@ def place(
     joined = [one for one in named if not os.path.exists(one)]  # w+KEEP, A,B
     parts = [part for one in joined for sign in "+," for part in one.split(sign)]
     files = [Path(one) for one in (*named, *parts) if os.path.exists(one)]
-    if path.exists() and any(
-        one.exists() and path.samefile(one) for file in files for one in _all_read(file)
-    ):
+    if path.exists() and any(map(path.samefile, files)):
         raise InputError(f"{path}: that is what is read: choose another name")
     if find_stream(path) is not None:  # what is behind it is not replaced
         return Place(path, False)
     refuse_inside(path)
     check_writable(path)
     return Place(path, path.is_file(), read=files)
-
-
-def _all_read(path: Path) -> Iterator[Path]:
-    """List an input file and those that it names or that lie beside it; of a run, its files."""
-    if not path.is_file():
-        yield from (path / name for name in RUN_FILES)
-        return
-    yield from (path, path.with_suffix(".toml"))
-    if path.suffix.lower() == ".scen":
-        yield path.with_suffix(".map")
-    with contextlib.suppress(InputError):  # it is no layout
-        facts = read_drawing(path).details.get("facts", {})
-        for named in (str(facts.get(name, "")).split("+") for name in ("keep", "demand")):
-            yield from (path.parent / one for one in named)
 
 
 def place_table(

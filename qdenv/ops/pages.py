@@ -207,7 +207,7 @@ def explore(run: args.Run, growth: NonNegativeInt | None = None, out: args.Out =
     Examples:
         ``qdenv explore zoo:warehouse-even``
     """
-    opened, target = args.open_run(run), place(out, "explorer.html", (".html",), [run])
+    opened, target = args.open_run(run), place(out, "explorer.html", (".html",))
     from qdenv.view.explorer import make_explorer  # imports jax
 
     with Bar("growing") as bar:

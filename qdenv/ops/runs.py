@@ -140,8 +140,8 @@ def generate(
             in Python also (12, 40) or what `run.elite` found.
         repair: --no-repair keeps what the automaton drew.
         growth: steps, seed, plan, what must stay, frames.
-        out: layout file to write (.json, .txt, .csv), with a picture beside it; by default
-            layout.json.
+        out: layout file to write (.json, .txt, .csv, .xlsx, .dxf), with a picture beside it; by
+            default layout.json.
         **numbers: exact numbers of tiles; by default those known for the size, or else scaled
             with the area. In Python also ``steps``, ``seed`` and ``polish``.
 
@@ -168,7 +168,7 @@ def generate(
     trained = make_domain(config.evaluation.domain)
     whose = trained if plan is None else plan.domain
     endings = endings_for(whose.tiles, whose.meanings)
-    target = place(out, "layout.json", endings, [run, growth.plan, growth.keep])
+    target = place(out, "layout.json", endings, [growth.plan, growth.keep])
     size = rows, cols
     with Bar("growing") as bar:
         grown = studies.grow_elite(opened, found, size, growth.steps, numbers, growth.keep, plan)
@@ -298,7 +298,7 @@ def export(
     opened, written = args.open_run(run), []
     archive = opened.archive
     layouts = None if layouts is None else place_folder(layouts, "layouts")
-    if table := place(out, f"{file_name(Path(str(run)))}_elites.csv", (".csv", ".parquet"), [run]):
+    if table := place(out, f"{file_name(Path(str(run)))}_elites.csv", (".csv", ".parquet")):
         archive.write_table(table.path, solutions)
         say(f"{table}: {len(archive)} elites")
         written.append(table.path)
