@@ -28,13 +28,21 @@ class Rule(NamedTuple):
 def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]:
     """List the rules of a domain whose elites differ in entropy and in a number of `things`."""
     tenth, third = ((f"-{ENTROPY}", 0.1),), (f"-{ENTROPY}", 0.3)
-    best = "of those that flow at the largest size under both planners, moved most in a trial"
+    best = "of those tried that flow at the largest size under both planners, moved most in a trial"
     regular = f"one of the best regular ones with few {noun}"
     clean = "chosen by similarity to its drawing, as the search measures it"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),
-        Rule("regular", "few different patterns of tiles: of low entropy", f"-{ENTROPY}"),
-        Rule("varied", "many different patterns of tiles: of high entropy", ENTROPY),
+        Rule(
+            "regular",
+            "few different patterns of tiles at the trained size: of low entropy",
+            f"-{ENTROPY}",
+        ),
+        Rule(
+            "varied",
+            "many different patterns of tiles at the trained size: of high entropy",
+            ENTROPY,
+        ),
         Rule(f"few-{noun}", few, f"-{things}"),
         Rule(f"many-{noun}", many, things),
         Rule("orderly", "one of the best of the most regular tenth", "objective", tenth),
