@@ -16,7 +16,7 @@ import shlex
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -197,11 +197,10 @@ def _run_command(name: str, typed: list[str]) -> int:
                 continue
             if written.setdefault(os.path.realpath(one), option) != option:
                 raise InputError(f"{one}: named twice: what is written needs a name of its own")
-        old = set(filter(os.path.isfile, written))
-        for one in filter(os.path.exists, map(str, flat(arguments))) if old else ():
-            for read in [] if os.path.realpath(one) in old else _read_with(Path(one)):
-                if os.path.realpath(read) in old:
-                    raise InputError(f"{read}: that is what is read: choose another name")
+        if replaced := set(filter(os.path.isfile, written)):
+            for beside in _files_beside(filter(os.path.exists, map(str, flat(arguments)))):
+                if os.path.realpath(beside) in replaced:
+                    raise InputError(f"{beside}: that is what is read: choose another name")
         if not to_stdout:
             target = place(facts_file, "facts.json", inputs=flat(arguments))
         # Nothing but the facts is written to standard output if they are written there.
@@ -287,19 +286,18 @@ def main() -> None:
     os._exit(code)
 
 
-def _read_with(path: Path) -> Iterator[Path]:
-    """List what is read with an input: files that it names, or that lie beside it, a run's own."""
+def _files_beside(inputs: Iterable[str]) -> Iterator[Path]:
+    """List what is read with files and folders: what lies beside them, or is named in them."""
     from qdenv.io.files import RUN_FILES
     from qdenv.io.layouts import read_drawing
     from qdenv.types import InputError
 
-    if not path.is_file():
-        yield from (path / name for name in RUN_FILES)
-        return
-    yield path.with_suffix(".toml")
-    if path.suffix.lower() == ".scen":
-        yield path.with_suffix(".map")
-    with contextlib.suppress(InputError):  # it is no layout
-        facts = read_drawing(path).details.get("facts", {})
-        for named in (str(facts.get(name, "")).split("+") for name in ("keep", "demand")):
-            yield from (path.parent / one for one in named)
+    for path in map(Path, inputs):
+        if not path.is_file():
+            yield from map(path.joinpath, RUN_FILES)
+            continue
+        yield from map(path.with_suffix, [".toml"] + [".map"] * (path.suffix.lower() == ".scen"))
+        with contextlib.suppress(InputError):  # it is no layout
+            facts = read_drawing(path).details.get("facts", {})
+            named = f"{facts.get('keep', '')}+{facts.get('demand', '')}".split("+")
+            yield from map(path.parent.joinpath, named)
