@@ -169,10 +169,11 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
     """
     tiles = parse(block, generated)
     height, width = tiles.shape
-    if rows < height or cols < width:
+    missing = max(height - rows, 0), max(width - cols, 0)
+    if any(missing):
         raise InputError(
-            f"a canvas of {rows} x {cols} is smaller than the seed block of {height} x {width}: "
-            "give a larger size"
+            "the layout is too small by {} x {} (rows x columns) ".format(*missing)
+            + f"for the seed block of {height} x {width}: give a larger size"
         )
     canvas = np.zeros((rows, cols), np.int8)
     top, left = (rows - height) // 2, (cols - width) // 2

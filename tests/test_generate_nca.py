@@ -200,5 +200,5 @@ def test_warehouse_frame_is_drawn_around_the_generated_area():
 def test_bad_architectures_and_canvases_are_refused():
     with pytest.raises(InputError, match="odd"):
         NcaConfig(kernel_sizes=(3, 2))
-    with pytest.raises(InputError, match="smaller than the seed block"):
+    with pytest.raises(InputError, match="too small by 1 x 0 "):
         seed_canvas(("ee", "@@"), 1, 5, ".@e")
