@@ -403,11 +403,24 @@ def test_the_page_states_the_peaks_and_what_congests():
     grown = f"{rates[3]:.2f}, {rates[5]:.2f} and {rates[1]:.2f}"
     assert f"the grown layouts move {grown}" in PAGE
     made = {tuple(row[:2]): row[4:6] for row in table("figure_19") if "/" in row[4]}
-    success, moved = made["warehouse-uneven", "tiled"]
-    good, runs = map(int, success.split(" ")[0].split("/"))
-    _, grown = made["warehouse-uneven", "CMA-MAE + NCA, first zoo"]
-    text = f"the other {good} move {moved}, in the grown layout {grown}".replace("+-", "±")
-    assert f"{runs - good} of {runs} of `warehouse-uneven`'s; {text}." in PAGE
+    flows, less = [], []
+    for domain in FLEETS:
+        (success, own), (_, grown) = (
+            made[domain, name] for name in ("tiled", "CMA-MAE + NCA, first zoo")
+        )
+        flows.append(success)
+        less.append(f"{own} against {grown} ({100 * (1 - float(own[:6]) / float(grown[:6])):.1f} %")
+    text = "{} less) and {}), and the factory, all of whose runs succeed, {}; in the paper".format(
+        *less
+    )
+    assert text.replace("+-", "±") in PAGE and flows[2].startswith("50/50")
+    runs, ends = zip(
+        *(re.match(r"(\d+/\d+) .(.*)%\)", one).groups() for one in flows[:2]), strict=True
+    )
+    text = "here {} and {} do ({} % and {} %)".format(*runs, *ends).replace("/", " of ")
+    assert text.replace("% to", " to") in PAGE
+    papers = [TRAFFIC["manufacturing", name, 1800].throughput for name in ("tiled", "nca")]
+    assert "{} against {}, {:.1f} %)".format(*papers, 100 * (1 - papers[0] / papers[1])) in PAGE
     jams = {"-".join(key): course(usage.path(Folders()).stem) for key, usage in USAGE.items()}
     assert [name for name, one in jams.items() if one["congested"]] == ["warehouse-even-tiled"]
     assert jams["warehouse-even-tiled"]["congested"] == 1
