@@ -171,10 +171,9 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
     height, width = tiles.shape
     missing = max(height - rows, 0), max(width - cols, 0)
     if any(missing):
-        raise InputError(
-            "the layout is too small by {} x {} (rows x columns) ".format(*missing)
-            + f"for the seed block of {height} x {width}: give a larger size"
-        )
+        small = "the layout is too small by {} x {} (rows x columns)".format(*missing)
+        block = f"the seed block of {height} x {width}"
+        raise InputError(f"{small} for {block}: give a larger size")
     canvas = np.zeros((rows, cols), np.int8)
     top, left = (rows - height) // 2, (cols - width) // 2
     canvas[top : top + height, left : left + width] = tiles

@@ -70,7 +70,7 @@ def about(name: str) -> Iterator[None]:
 def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
     """Look `name` up in a table, or raise InputError, which lists the choices."""
     if name not in table:
-        raise InputError(f"unknown {what} {name!r}: {choices(name, table)}")
+        raise InputError(f"unknown {what} {name!r}: {choices(str(name), table)}")
     return table[name]
 
 

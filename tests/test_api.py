@@ -81,6 +81,7 @@ def test_a_file_an_array_and_a_plan_give_the_same_numbers(path):
         (PLAN[0], {"domain": "warehouse-even"}, "rows and columns"),
         (PLAN + 0.5, {"domain": "warehouse-even"}, "integers"),
         (PLAN, {"domain": "moon"}, "unknown domain 'moon'"),
+        (PLAN, {"domain": 3}, "unknown domain 3: choose one of"),
         ("missing.json", {}, "missing.json"),
     ],
 )
