@@ -169,11 +169,10 @@ def seed_canvas(block: Sequence[str], rows: int, cols: int, generated: str) -> n
     """
     tiles = parse(block, generated)
     height, width = tiles.shape
-    missing = max(height - rows, 0), max(width - cols, 0)
-    if any(missing):
-        small = "the layout is too small by {} x {} (rows x columns)".format(*missing)
-        block = f"the seed block of {height} x {width}"
-        raise InputError(f"{small} for {block}: give a larger size")
+    short = max(height - rows, 0), max(width - cols, 0)
+    if any(short):
+        text = "{} x {} (rows x columns) for the seed block of {} x {}".format(*short, *tiles.shape)
+        raise InputError(f"the layout is too small by {text}: give a larger size")
     canvas = np.zeros((rows, cols), np.int8)
     top, left = (rows - height) // 2, (cols - width) // 2
     canvas[top : top + height, left : left + width] = tiles
