@@ -270,7 +270,7 @@ def main(
     rows: list[tuple[object, ...]] = []
     for (name, over), one in compare(subjects, judged).items():
         both = ("{:.3f} ({:.3f} to {:.3f})".format(*each) for each in (one.spearman, one.kendall))
-        ratio = f"{one.ratio.mean:.4f} +- {one.ratio.error:.4f}"
+        ratio = f"{one.ratio.mean:.4f} ± {one.ratio.error:.4f}"
         rows.append((name, f"{one.layouts} {over}", *both, ratio))
     print("\n".join(table(head, rows)))
     for planner in ("low", "high", "plain"):

@@ -50,9 +50,7 @@ def write_table(path: Path, found: dict[str, Group], domain: str) -> None:
 
     A row holds final means, half-widths of their intervals, means of entropies.
     """
-    print(
-        "mean +- half of its 95 % interval (Student's t); share: of elites with entropy below 0.5"
-    )
+    print("mean ± half of its 95 % interval (Student's t); share: of elites with entropy below 0.5")
     paper = "Table 4: QD-score, coverage"
     shown = [("algorithm", *CURVES.values(), "entropy", "lowest", "share", paper)]
     head = ["algorithm", "seeds", "evaluations"]
@@ -65,7 +63,7 @@ def write_table(path: Path, found: dict[str, Group], domain: str) -> None:
         numbers = [f"{number:.6g}" for number in (*chain(*pairs), *entropies)]
         rows.append((name, len(group.runs), group.evaluations[-1], *numbers))
         cells = [
-            f"{m:.{digits}f} +- {half:.{digits}f}"
+            f"{m:.{digits}f} ± {half:.{digits}f}"
             for (m, half), digits in zip(pairs, (1, 4, 3), strict=True)
         ]
         mean, lowest, share = entropies

@@ -240,7 +240,7 @@ def main(
         name, guidance = row.layout.split("/")
         usual = row.agents == CASES[name].fleet.agents
         theirs = CASES[name].published.get(guidance, "") if usual else ""
-        moved = f"{row.throughput:.3f} +- {row.standard_error:.3f}"
+        moved = f"{row.throughput:.3f} ± {row.standard_error:.3f}"
         # A jam is judged by windows of several timesteps.
         success = f"{row.success_rate:.0%}" if CASES[name].fleet.horizon > 1 else ""
         numbers = success, moved, theirs, f"{row.cpu_seconds_per_run:.3f}"

@@ -108,7 +108,7 @@ HEAD = (
 )
 NOTE = (
     "100 runs of the agent that ships in each maze. Random mazes have as many walls, and a way "
-    "within 0.8 to 1.2 of the grown one's; +- standard error over mazes."
+    "within 0.8 to 1.2 of the grown one's; ± standard error over mazes."
 )
 
 
@@ -144,7 +144,7 @@ def draw_rates(axes: Axes, found: list[Solved]) -> tuple[object, ...]:
     if not others:
         return (*own, "not made yet", 0, "")
     sample = sample_of(np.array(rates))
-    moved = f"{100 * sample.mean:.1f} +- {100 * sample.error:.1f} %"
+    moved = f"{100 * sample.mean:.1f} ± {100 * sample.error:.1f} %"
     return (*own, moved, len(others), f"{np.mean(ways):.0f}")
 
 

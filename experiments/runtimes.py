@@ -100,7 +100,7 @@ HEAD = (
     *("cells changed", "ended"),
 )
 NOTES = (
-    "CPU seconds of all threads together; mean +- standard error over the repairs. Compiling "
+    "CPU seconds of all threads together; mean ± standard error over the repairs. Compiling "
     "happens once per size.",
     "The paper gives its MILP solver 1 thread and 60,000 ticks at 33 x 36, 28 threads and "
     "3,600,000 ticks at 101 x 102 (appendix C.4, which gives no seconds).",
@@ -118,7 +118,7 @@ def draw(folders: Folders) -> Drawn:
         for shape, found in own.items():
             named = (domain, "{} x {}".format(*shape), found[0].steps)
             took = [seconds_of(found, name) for name in Runtime._fields[2:5]]
-            seconds = [f"{sample.mean:.2f} +- {sample.error:.2f}" for sample in took]
+            seconds = [f"{sample.mean:.2f} ± {sample.error:.2f}" for sample in took]
             changed = sample_of(np.array([row.changed for row in found])).mean
             ended = ", ".join(sorted({row.repair for row in found}))
             rows.append((*named, *seconds, len(found), f"{changed:.0f}", ended))

@@ -76,5 +76,5 @@ def describe(found: Sequence[Outcome], refusal: str = "") -> tuple[str, str]:
     if not found:
         return ("N/A", refusal) if refusal else ("not made yet", "")
     row = found[0]
-    moved = f"{row.throughput:.3f} +- {row.error:.3f}" if row.successes else "none"
+    moved = f"{row.throughput:.3f} ± {row.error:.3f}" if row.successes else "none"
     return f"{row.successes}/{row.runs} ({row.low:.0%} to {row.high:.0%})", moved

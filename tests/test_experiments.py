@@ -117,7 +117,7 @@ def test_algorithms_averages_seeds_draws_and_goes_on(preset, tmp_path, capsys):
         elites = [run.archive.columns["measures"][:, 1] for run in runs[row["algorithm"]]]
         lowest = np.mean([values.min() for values in elites])
         assert float(row["lowest_entropy"]) == pytest.approx(lowest, rel=1e-5)
-        assert f"{row['algorithm']:10}  {float(row['qd_score']):.1f} +- " in said
+        assert f"{row['algorithm']:10}  {float(row['qd_score']):.1f} ± " in said
     assert "6,893 ± 1,292, 0.15" in said and "4 of 4: " in said
     assert imread(tmp_path / "algorithms.png").shape[:2] == (396, 1100)
     before = [path.stat().st_mtime_ns for path in sorted(tmp_path.rglob("*/*"))]
@@ -214,7 +214,7 @@ def test_congestion_puts_several_files_into_one_table(own_layout, tmp_path, caps
     congestion.main((layout,), **settings, out=tmp_path / "a.csv", read=(tmp_path / "b.csv",))
     said = capsys.readouterr().out.splitlines()
     # One of three succeeds: Wilson's interval is 6 to 79 %; runs end at 20 and 30.
-    start = "| warehouse_human (warehouse-even) | 200 | 20 | low | 1/3 (6% to 79%) | 5.000 +- nan "
+    start = "| warehouse_human (warehouse-even) | 200 | 20 | low | 1/3 (6% to 79%) | 5.000 ± nan "
     assert said[2].startswith(start + "| congests |") and said[2].endswith("| 25 (20 to 30) |")
     assert [line.split(" | ")[1] for line in said[3:5]] == ["5", "8"]
     rows = list(read_rows(tmp_path / "a-table.csv"))
