@@ -225,7 +225,7 @@ def _finish(folder: Path, plan: Plan, config: Any, judged: Sequence[Any]) -> Tab
     from qdenv.view.style import save_figure
 
     rows, counts = [], [config.fleet.agents, round(studies.CROWD * config.fleet.agents)]
-    table = [("section", "lanes", "racks moved", *(f"{one} robots (95 %)" for one in counts))]
+    table = [("section", "lanes", "shelves moved", *(f"{one} robots (95 %)" for one in counts))]
     if any(one.by_shelf for one in judged):
         table[0] += (f"{counts[0]}, all shelves alike",)
     drivable = plan.domain.drivable

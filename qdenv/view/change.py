@@ -76,7 +76,7 @@ def draw_change(
 
 @style.styled
 def draw_racks_moved(found: Mapping[str, tuple[Array, Array]], agents: int, plan: float) -> Figure:
-    """Draw what moving racks brings: tasks per timestep over racks moved, a point a layout.
+    """Draw what moving racks brings: tasks per timestep over shelves moved, a point a layout.
 
     `found` holds both of the layouts of each search (int [N], float [N]), `plan` is what the plan
     itself moves.
@@ -91,7 +91,7 @@ def draw_racks_moved(found: Mapping[str, tuple[Array, Array]], agents: int, plan
     look: Any = {"textcoords": "offset points", "va": "top", "color": style.GREY}
     axes.annotate("the plan", (0, plan), (2, -3), **look)
     axes.set(
-        xlabel="racks moved",
+        xlabel="shelves moved",
         ylabel="tasks per timestep",
         title=f"what moving racks brings, {agents} robots in the searches' short runs",
     )
