@@ -73,8 +73,6 @@ def floor(config: FloorConfig) -> Domain:
         tiles=TILES,
         generated=TILES,
         seed_block=(".",),
-        margin=(0, 0),
-        frame=lambda tiles: tiles,
         rules=None,
         simulator=fleet_simulator(TaskRule(TILES, ".ew", goals), config.fleet),
         objective=throughput,

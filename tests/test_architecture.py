@@ -284,10 +284,10 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 33_152,
+    "lines": 33_150,
     "files": 194,
     "records": 195,
-    "public names": 1_216,
+    "public names": 1_215,
     "class names used twice": 0,
     "functions of two lines": 327,
 }

@@ -9,10 +9,10 @@ import pytest
 from conftest import read_layout
 from matplotlib.image import imread
 
+import qdenv
 from qdenv.cli.main import run
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
-from qdenv.ops.layouts import list_symbols
 from qdenv.repairs import recipe
 
 PAGE = Path(__file__).parents[1] / "notebooks" / "how_to" / "layout_files.md"
@@ -270,6 +270,9 @@ def test_symbols_lists_every_tile_with_its_meaning(capsys):
         assert re.search(line, said), line
     assert run(["layout", "symbols", "--domain", "manufacturing"]) == 0
     assert "workstation" not in capsys.readouterr().out
+    assert run(["layout", "symbols", "--domain", "maze-walls", "--json", "-"]) == 0
+    tiles = json.loads(capsys.readouterr().out)["symbols"]
+    assert [(tile["symbol"], tile["also"]) for tile in tiles] == [(" ", "."), ("X", "#@")]
 
 
 def test_the_book_lists_the_symbols_as_they_are():
@@ -283,14 +286,14 @@ def test_the_book_lists_the_symbols_as_they_are():
         ("manufacturing", ""),
         ("maze", "-walls"),
     ):
-        for row in list_symbols(find_domain(domain + name)):
-            symbol, tile, _, also, meaning = row
-            known.append((domain, quote(symbol), tile, quote(also), meaning))
+        for tile in qdenv.layout_symbols(domain + name)["symbols"]:
+            cells = quote(tile["symbol"]), tile["tile"], quote(tile["also"]), tile["meaning"]
+            known.append((domain, *cells))
     assert listed == known
 
 
 def quote(cell: str) -> str:
-    return ", ".join("blank" if one == " " else f"`{one}`" for one in re.findall("'(.)'", cell))
+    return ", ".join("blank" if one == " " else f"`{one}`" for one in cell)
 
 
 def test_the_books_plan_is_kept_as_it_says(folder):

@@ -66,8 +66,6 @@ def garden(config: GardenConfig) -> Domain:
         tiles=TILES,
         generated=TILES,
         seed_block=("*#",),
-        margin=(0, 0),
-        frame=lambda tiles: tiles,
         rules=lambda: rules(config),
         simulator=Simulator(lambda layout: of_tiles(layout, "*", TILES), stroll),
         objective=lambda layout, runs: runs.seen.mean(),

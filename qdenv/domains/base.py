@@ -138,10 +138,6 @@ class Domain:
     generated: str  # symbols the generator draws, in channel order; the first tiles of `tiles`
     # rows of the fixed block in the middle of the generator's start canvas
     seed_block: tuple[str, ...]
-    # (rows, columns) that the frame adds to each side of the generated area
-    margin: tuple[int, int]
-    # generated area int8 [H - 2 dr, W - 2 dc] -> framed layout int8 [H, W]
-    frame: Callable[[Array], Array]
     # makes the repair's `Rules`, or raises `InputError` where none fit this size; None where
     # nothing is repaired
     rules: Callable[[], Rules] | None
@@ -150,6 +146,9 @@ class Domain:
     # archive; the learning objective adds alpha times the similarity
     objective: Callable[[jax.Array, Any], jax.Array]
     measures: tuple[Measure, ...]  # axes of the archive
+    margin: tuple[int, int] = (0, 0)  # (rows, columns) that the frame adds to each side
+    # generated area int8 [H - 2 dr, W - 2 dc] -> framed layout int8 [H, W]
+    frame: Callable[[Array], Array] = lambda area: area
     # unrepaired layout int8 [H, W] -> float32 [H, W], p_i / max p: how much each cell counts in the
     # similarity
     similarity_weights: Callable[[Array], jax.Array] = lambda layout: jnp.ones(

@@ -143,8 +143,6 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: floa
         tiles=tiles,
         generated=GENERATED,
         seed_block=("ee", "@@", "ee"),
-        margin=(0, 0),
-        frame=lambda area: area,
         rules=rules,
         simulator=fleet_simulator(TaskRule(tiles, drivable, cycle, rate), config.fleet),
         objective=throughput,

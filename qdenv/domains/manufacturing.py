@@ -70,8 +70,6 @@ def manufacturing(config: ManufacturingConfig) -> Domain:
         generated=TILES,
         tiles=TILES,
         seed_block=("eeee", "0221", "eeee"),
-        margin=(0, 0),
-        frame=lambda tiles: tiles,
         rules=lambda: rules(*shape),
         simulator=fleet_simulator(TaskRule(TILES, ".e", cycle), config.fleet),
         objective=throughput,

@@ -49,8 +49,6 @@ def make_map(config: MapConfig) -> Domain:
         tiles=_TILES,
         generated=_TILES,
         seed_block=(".",),
-        margin=(0, 0),
-        frame=lambda tiles: tiles,
         rules=None,
         simulator=fleet_simulator(tasks, config.fleet),
         objective=throughput,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -16,6 +16,7 @@ from qdenv.ops import options as args
 from qdenv.ops.output import (
     PICTURES,
     Layout,
+    Result,
     Table,
     UnsolvedError,
     format_table,
@@ -322,36 +323,40 @@ def layout_tile(
     return save_with_picture(Layout(tiled.layout, found, details, details, tiled.costs), target)
 
 
-def layout_symbols(domain: args.DomainName = None) -> None:
+def layout_symbols(domain: args.DomainName = None) -> Result:
     """List the symbols of layout files: what each means in each domain.
 
     Args:
         domain: the only domain to list.
 
+    Returns:
+        ``symbols``, a record for each tile of a domain.
+
     Examples:
         ``qdenv layout symbols --domain hall``
     """
-    domains_of: dict[tuple[tuple[str, ...], ...], list[str]] = {}
+    records, domains_of = list[dict[str, str]](), dict[tuple[tuple[str, ...], ...], list[str]]()
     for name in (domain,) if domain else DOMAINS.names():
-        # Domains with the same symbols share a table.
-        domains_of.setdefault(tuple(list_symbols(find_domain(name))), []).append(name)
-    for rows, names in domains_of.items():
-        table = format_table([("symbol", "tile", "robots", "also", "meaning"), *rows])
-        say(", ".join(names), *(f"  {line}" for line in table), "")
+        tiles = [*_list_tiles(find_domain(name))]
+        records += [{"domain": name} | tile for tile in tiles]
+        quote = dict.fromkeys(("symbol", "also"), lambda symbols: " ".join(map(repr, symbols)))
+        rows = (tuple(quote.get(key, str)(cell) for key, cell in tile.items()) for tile in tiles)
+        domains_of.setdefault((tuple(tiles[0]), *rows), []).append(name)
+    for table, names in domains_of.items():  # domains with the same symbols share a table
+        say(", ".join(names), *(f"  {line}" for line in format_table(table)), "")
+    return Result({"symbols": records, "settings": {"domain": domain}})
 
 
-def list_symbols(domain: Domain) -> list[tuple[str, ...]]:
-    """List a domain's tiles: symbol, name, whether robots drive there, other symbols, meaning."""
-    also: dict[str, list[str]] = {}
-    for other, symbol in aliases(domain.tiles, domain.meanings).items():
-        also.setdefault(symbol, []).append(repr(other))
-    rows: list[tuple[str, ...]] = []
+def _list_tiles(domain: Domain) -> Iterator[dict[str, str]]:
+    """Describe a domain's tiles; `also` holds the other symbols that mean a tile."""
+    others = aliases(domain.tiles, domain.meanings)
     for symbol in domain.tiles:
-        tile, others = domain.meanings.get(symbol), " ".join(also.get(symbol, []))
-        drives = "drive around it" if tile and tile.obstacle else "drive over it"
-        about = (tile.name, drives, others, tile.about) if tile else ("", "", others, "")
-        rows.append((repr(symbol), *about))
-    return rows
+        also = "".join(one for one, meant in others.items() if meant == symbol)
+        tile = {"symbol": symbol, "tile": "", "robots": "", "also": also, "meaning": ""}
+        if known := domain.meanings.get(symbol):
+            drives = "drive around it" if known.obstacle else "drive over it"
+            tile |= {"tile": known.name, "robots": drives, "meaning": known.about}
+        yield tile
 
 
 def make_environment(

@@ -40,8 +40,6 @@ def orchard(config: OrchardConfig) -> qdenv.Domain:
         tiles=TILES,
         generated=TILES,
         seed_block=("Tb",),
-        margin=(0, 0),
-        frame=lambda area: area,
         rules=lambda: rules,
         simulator=qdenv.fleet_simulator(tasks, config.fleet),
         objective=lambda layout, runs: runs.throughput.mean(),
