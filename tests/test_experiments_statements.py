@@ -221,7 +221,13 @@ def test_the_page_says_how_the_rows_of_table_4_compare():
         assert "{:,.0f} and {:,.0f} after {:,}".format(*pair, evaluations) in PAGE
     pair = [score_after(f"warehouse-even{seed}", 10_000) for seed in ("", "-seed1")]
     assert f"differ by {round(pair[0] - pair[1], -2):,.0f}." in PAGE
-    assert numbers("warehouse-even-dsage", "environment entropy").min() > 0.9
+    entropies = [numbers(f"{domain}-dsage", "environment entropy") for domain in FLEETS[:2]]
+    assert min(map(min, entropies)) > 0.9
+    assert "none of its {} and {} elites has an entropy below".format(*map(len, entropies)) in PAGE
+    stations = numbers("manufacturing-dsage", "workstations")
+    moved = f"and the best moves {numbers('manufacturing-dsage', 'objective').max():.3f}."
+    assert stations.min() > 500 and moved in PAGE
+    assert f"all {len(stations)} elites have more than 500 workstations" in PAGE
     front = page("README.md")
     assert "a run of {} evaluations: {} warehouses".format(*table("figure_16")[2][2:4]) in front
 
