@@ -302,6 +302,12 @@ def test_the_page_says_what_table_5_shows():
     most = {tuple(row[:3]): row for row in table("figure_22") if row[4:]}
     grown = most[even, large, "CMA-MAE + NCA, first zoo"]
     assert f"moves {grown[4]} there with {int(grown[5]):,} agents" in PAGE
+    makers = "CMA-ES + NCA", "CMA-MAE + NCA", "CMA-MAE + NCA, first zoo"
+    cells = (most[uneven, small, makers[0]], most[uneven, small, makers[1]])
+    cells += (most[factory, small, makers[0]], most[factory, small, makers[2]])
+    text = "than CMA-MAE's**, {} against {} (in `manufacturing` less, {} against {})."
+    assert text.format(*(row[4] for row in cells)) in PAGE
+    assert {row[5] for row in cells} == {"250"} and "**With 250 robots at 33" in PAGE
 
 
 def test_the_pages_state_what_the_repair_draws_and_where_tiles_jam():
