@@ -232,7 +232,7 @@ def test_the_page_says_how_the_rows_of_table_4_compare():
     assert "a run of {} evaluations: {} warehouses".format(*table("figure_16")[2][2:4]) in front
 
 
-def fleets() -> dict[tuple[str, str, str], list[tuple[int, float]]]:
+def outcomes_of_table_5() -> dict[tuple[str, str, str], list[tuple[int, float]]]:
     """Return of Table 5 how many runs succeed and what these move, under our planner and PBS."""
     moved = {}
     for (domain, maker, shape, _), saved in TABLE.items():  # our planner comes first
@@ -248,7 +248,8 @@ def more(one: float, than: float) -> str:
 
 
 def test_the_page_says_what_table_5_shows():
-    moved, (even, uneven, factory), small, large = fleets(), FLEETS, "33 x 36", "101 x 102"
+    (even, uneven, factory), small, large = FLEETS, "33 x 36", "101 x 102"
+    moved = outcomes_of_table_5()
     own = {key: [mean for _, mean in pair] for key, pair in moved.items()}
     paper = {key: one.throughput for key, one in TRAFFIC.items()}
     for key, theirs, text in (
@@ -343,7 +344,7 @@ def test_the_pages_state_what_the_repair_draws_and_where_tiles_jam():
 
 def test_the_page_sets_ours_beside_the_papers_own_layouts():
     (even, uneven, _), small, large = FLEETS, "33 x 36", "101 x 102"
-    mean = {key: pair[1][1] for key, pair in fleets().items()}
+    mean = {key: pair[1][1] for key, pair in outcomes_of_table_5().items()}
     # The paper's layouts, driven by our priority-based search.
     theirs = {
         row["layout"].removesuffix("_nca_a5"): row

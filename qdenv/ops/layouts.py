@@ -335,28 +335,28 @@ def layout_symbols(domain: args.DomainName = None) -> Result:
     Examples:
         ``qdenv layout symbols --domain hall``
     """
+    head = ("symbol", "tile", "robots", "also", "meaning")
     records, domains_of = list[dict[str, str]](), dict[tuple[tuple[str, ...], ...], list[str]]()
     for name in (domain,) if domain else DOMAINS.names():
-        tiles = [*_list_tiles(find_domain(name))]
-        records += [{"domain": name} | tile for tile in tiles]
-        quote = dict.fromkeys(("symbol", "also"), lambda symbols: " ".join(map(repr, symbols)))
-        rows = (tuple(quote.get(key, str)(cell) for key, cell in tile.items()) for tile in tiles)
-        domains_of.setdefault((tuple(tiles[0]), *rows), []).append(name)
-    for table, names in domains_of.items():  # domains with the same symbols share a table
-        say(", ".join(names), *(f"  {line}" for line in format_table(table)), "")
+        rows = tuple(_describe_tiles(find_domain(name)))
+        records += [{"domain": name} | dict(zip(head, row, strict=True)) for row in rows]
+        domains_of.setdefault(rows, []).append(name)
+    for rows, names in domains_of.items():  # domains with the same symbols share a table
+        quoted = [(repr(row[0]), *row[1:3], " ".join(map(repr, row[3])), row[4]) for row in rows]
+        say(", ".join(names), *(f"  {line}" for line in format_table([head, *quoted])), "")
     return Result({"symbols": records, "settings": {"domain": domain}})
 
 
-def _list_tiles(domain: Domain) -> Iterator[dict[str, str]]:
-    """Describe a domain's tiles; `also` holds the other symbols that mean a tile."""
+def _describe_tiles(domain: Domain) -> Iterator[tuple[str, ...]]:
+    """List each tile's symbol, name, whether robots drive there, other symbols, and meaning."""
     others = aliases(domain.tiles, domain.meanings)
     for symbol in domain.tiles:
         also = "".join(one for one, meant in others.items() if meant == symbol)
-        tile = {"symbol": symbol, "tile": "", "robots": "", "also": also, "meaning": ""}
-        if known := domain.meanings.get(symbol):
-            drives = "drive around it" if known.obstacle else "drive over it"
-            tile |= {"tile": known.name, "robots": drives, "meaning": known.about}
-        yield tile
+        name, drives, about = "", "", ""
+        if tile := domain.meanings.get(symbol):
+            drives = "drive around it" if tile.obstacle else "drive over it"
+            name, about = tile.name, tile.about
+        yield symbol, name, drives, also, about
 
 
 def make_environment(
