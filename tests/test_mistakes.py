@@ -172,7 +172,7 @@ MISTAKES = {
     "check plan.txt --shelves -1": "-1 shelves: give 0 or more",
     # Searches that cannot succeed.
     "train quick --agents 240": "do not fit",
-    "train quick --shelves 1000": "1000 shelves are required",
+    "train quick --shelves 1000": "the number of shelves must be at least 1000",
     "train quick --evaluations 0": "evaluations must be at least 1",
     "train quick --archive 0 40 20": "has 2, connected shelf components",
     "train quick --archive 40 0 20 0 1 20": "is empty",

@@ -131,7 +131,7 @@ def test_a_layout_is_found_or_excluded_where_aisles_are_wide():
     assert status == RepairStatus.ANNEALED and audit(layout, facts.rules) == []
     rules = yard(10, 12, 60, 60).buildable(2)
     assert impossible(rules) is None
-    assert explain(rules) == "60 '@' are required but 59 at most can be reached"
+    assert explain(rules) == "the number of '@' must be at least 60 but at most 59 can be reached"
 
 
 @pytest.mark.parametrize(("stations", "exists"), [(2, False), (3, True)])

@@ -219,13 +219,13 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
     for bound in rules.counts:
         must, may = int(facts.must(bound.tiles).sum()), int(facts.may(bound.tiles).sum())
         high = may if bound.high is None else bound.high
-        nouns = rules.name(bound.tiles, True)
+        number = f"the number of {rules.name(bound.tiles, True)} must be"
         if bound.high is not None and bound.low > high:
-            return f"the number of {nouns} must be at least {bound.low} and at most {high}"
+            return f"{number} at least {bound.low} and at most {high}"
         if bound.low > may:
-            return f"{bound.low} {nouns} are required but only {may} cells may hold one"
+            return f"{number} at least {bound.low} but at most {may} fit"
         if high < must:
-            return f"{must} cells must hold {nouns}, more than the {high} allowed"
+            return f"{number} at most {high} but {must} are fixed"
         # How many obstacles can a connected driving area serve? A part of c serving cells that
         # hangs together has 4c sides and spends 2 (c - 1) of them on itself, and one more where
         # something else joins it to the other parts: each part serves at most 2c + 1 obstacles
@@ -239,7 +239,7 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
         sides = int(2 * (serves.sum() + (holds & ~serves).sum()) + max(2, int(joints.sum())))
         if bound.low > (most := sides // 3):
             reach = f"a connected driving area can reach at most {most}"
-            return f"{bound.low} {nouns} are required but {reach}"
+            return f"{number} at least {bound.low} but {reach}"
     for tiles, others in rules.adjacency:
         alone = facts.must(tiles) & (count_neighbours(facts.may(others)) == 0)
         if alone.any():
@@ -274,7 +274,7 @@ def _impossible_covers(facts: Facts) -> str | None:
         rows, cols = rule.shapes[0]
         room = facts.room(rule)
         for tiles, low, high in rules.counts:
-            named = rules.name(tiles, many=True)
+            number = f"the number of {rules.name(tiles, many=True)} must be"
             if widens:
                 # A connected union of squares of a x a cells has at most (4 a - 2) / a^2
                 # sides for each of its cells, and two more: squares that share one side each. A
@@ -288,14 +288,14 @@ def _impossible_covers(facts: Facts) -> str | None:
                 most = min(most, (cells + 2 * narrow + facts.spare_ring(rule)) // 2)
                 if low > most and not set(tiles) & set(rules.connected):
                     reach = f"aisles {rows} cells wide can reach at most {most}"
-                    return f"{low} {named} are required but {reach}"
+                    return f"{number} at least {low} but {reach}"
             elif set(tiles) <= set(rule.tiles) and low > 0:
                 rack = f"racks of {rows} x {cols}"
                 most = int((room | exempt).sum())
                 if low > most:
-                    return f"{low} {named} are required but {rack} have room for {most} at most"
+                    return f"{number} at least {low} but {rack} have room for at most {most}"
                 if high is not None and high < rows * cols and not exempt.any():
-                    return f"{high} {named} at most are allowed but {rack} take {rows * cols}"
+                    return f"{number} at most {high} but {rack} take {rows * cols}"
             if widens or min(rows, cols) < 2:
                 continue
             needs = [need for held, need in rules.adjacency if set(rule.tiles) <= set(held)]
@@ -307,7 +307,7 @@ def _impossible_covers(facts: Facts) -> str | None:
             # Racks are squares of 2 x 2 cells. Two that share their corner would close in the cell
             # there, so those that overlap lie in a row, and each row has two lines.
             if low == high and low % 2 and set(tiles) == set(rule.tiles) and not exempt.any():
-                return f"{low} {named} are required but racks 2 cells deep hold an even number"
+                return f"{number} {low} but racks 2 cells deep hold an even number"
     return None
 
 

@@ -72,8 +72,8 @@ def explain(rules: Rules, progress: Progress = silent) -> str | None:
         most = int(-relaxed.getInfo().objective_function_value + _TOLERANCE)
         optimal = relaxed.getModelStatus() == highspy.HighsModelStatus.kOptimal
         if optimal and most < bound.low:
-            named = rules.name(bound.tiles, many=True)
-            return f"{bound.low} {named} are required but {most} at most can be reached"
+            number = f"the number of {rules.name(bound.tiles, many=True)} must be"
+            return f"{number} at least {bound.low} but at most {most} can be reached"
     return "the rules exclude one another, as an integer program shows"
 
 
