@@ -8,8 +8,8 @@
 Zhang, Jiang, Bhatt, Nikolaidis and Li 2024, "Guidance graph optimization for lifelong multi-agent
 path finding", https://arxiv.org/abs/2402.01446, Table 3: T = 1000, PIBT plans every timestep anew,
 priority-based search ten timesteps every five. The floors and graphs are its authors' and no part
-of this repository: they are read from the folder that QDENV_STUDY_DATA names. The case `calm` is a
-floor of the first zoo. Costs that were found by the search of `qdenv guide` are in
+of this repository: they are read from `guidance` in the folder that QDENV_STUDY_DATA names. The
+case `calm` is a floor of the first zoo. Costs that were found by the search of `qdenv guide` are in
 results/guidance/CASE-SEED.json; further ones are made there by --search, whose runs are in
 runs/guidance, where an interrupted one goes on.
 """

@@ -4,8 +4,8 @@
     python -m experiments.sphere --iterations 10000 --seeds 5     # the published length
 
 Prints the normalised QD-score (per cell) and the coverage in per cent of every seed, their mean
-and the standard error; `--picture FILE` draws the archive of the last seed. README.md has what was
-measured.
+and the standard error; `--picture FILE` draws the archive of the last seed. What was measured
+stands in experiments/README.md.
 """
 
 import time

@@ -42,14 +42,14 @@ def find_possible(
 
     Returns `ANNEALED` and a layout (int8 [H, W]), `IMPOSSIBLE` where none exists, else `FAILED`.
     """
-    # Cached by the content of the rules, costs left out: a batch pays for it once.
-    rules = facts.rules
+    # Cached by the content of the rules, without costs: a batch pays for it once.
+    rules = facts.rules._replace(change_cost=np.zeros_like(facts.rules.change_cost))
     texts = (rules.tiles, rules.counts, rules.adjacency, rules.connected, rules.covers)
     stated = repr((*texts, rules.straight, rules.allowed.shape))
     key = stated.encode() + np.packbits(rules.allowed).tobytes()
     with _lock:
         if key not in _answers:
-            _answers[key] = _decide(facts, progress)
+            _answers[key] = _decide(Facts(rules), progress)
             while len(_answers) > _CACHED_RULES:
                 _answers.popitem(last=False)
         return _answers[key]
@@ -78,7 +78,10 @@ def explain(rules: Rules, progress: Progress = silent) -> str | None:
 
 
 def _decide(facts: Facts, progress: Progress) -> tuple[RepairStatus, np.ndarray | None]:
-    """Anneal, where that is fast, then try the relaxation, then the solver or the packer."""
+    """Anneal, where that is fast, then try the relaxation, then the solver or the packer.
+
+    Changes cost nothing in the rules of `facts`.
+    """
     if facts.free_cells > highs.MAX_CELLS:
         return RepairStatus.FAILED, None
     # An annealer that pays nothing for changes is faster than a relaxation.
@@ -118,12 +121,11 @@ def _decide(facts: Facts, progress: Progress) -> tuple[RepairStatus, np.ndarray 
 
 
 def _search(facts: Facts, progress: Progress) -> np.ndarray | None:
-    """Anneal without a cost of changes, from regular layouts and from open floor."""
-    free = Facts(facts.rules._replace(change_cost=np.zeros_like(facts.rules.change_cost)))
+    """Anneal from regular layouts and from open floor."""
     starts = [*draw_templates(facts.any_layout, facts)[:_STARTS], facts.any_layout]
     for seed, start in enumerate(starts):
         moves = _MOVES_PER_CELL * facts.free_cells
-        straight = free.straightened(start)
+        straight = facts.straightened(start)
         found, _ = anneal(start, straight, seed, moves, start, LOW_PENALTY, progress, bound=0.0)
         if found is not None and not audit(found, facts.rules):
             return found
