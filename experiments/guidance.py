@@ -36,9 +36,7 @@ from qdenv.io.layouts import write_layout
 from qdenv.ranges import PositiveInt
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PbsConfig, PibtConfig
 from qdenv.study.guides import best_base, find_guidance, guide_config, start_at
 from qdenv.study.options import parse_counts
 from qdenv.study.plans import Plan, guide, read_plan

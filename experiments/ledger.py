@@ -16,8 +16,7 @@ from qdenv.io.files import write_csv
 from qdenv.io.records import read_table
 from qdenv.run.executors import ClusterExecutor
 from qdenv.simulation.mapf.negotiated.settings import EFFORTS
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
-from qdenv.simulation.mapf.settings import MOST_STEPS, FleetConfig
+from qdenv.simulation.mapf.settings import MOST_STEPS, FleetConfig, PbsConfig
 from qdenv.stats import Sample, sample_of, wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import fleet_tasks

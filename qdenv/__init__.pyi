@@ -63,13 +63,13 @@ from .settings import EvaluationConfig as EvaluationConfig
 from .simulation.mapf.goals import beside_goal as beside_goal
 from .simulation.mapf.goals import tile_goal as tile_goal
 from .simulation.mapf.negotiated.settings import NegotiatedConfig as NegotiatedConfig
-from .simulation.mapf.pbs.settings import PbsConfig as PbsConfig
-from .simulation.mapf.pibt.settings import PibtConfig as PibtConfig
 from .simulation.mapf.planner import AgentState as AgentState
 from .simulation.mapf.planner import Planner as Planner
 from .simulation.mapf.planner import World as World
 from .simulation.mapf.settings import PLANNERS as PLANNERS
 from .simulation.mapf.settings import FleetConfig as FleetConfig
+from .simulation.mapf.settings import PbsConfig as PbsConfig
+from .simulation.mapf.settings import PibtConfig as PibtConfig
 from .types import Adjacency as Adjacency
 from .types import Count as Count
 from .types import Goal as Goal

@@ -47,12 +47,9 @@ def threads(on_host: bool = True) -> int:
 def placed(on_host: bool) -> contextlib.AbstractContextManager:
     """Let jax compute on the host's cores within a context, even where it has an accelerator."""
     # A host callback blocks the queue of its device: on an accelerator threads would take turns.
-    elsewhere = on_host and not on_cpu()
-    return (
-        jax.default_device(jax.local_devices(backend="cpu")[0])
-        if elsewhere
-        else contextlib.nullcontext()
-    )
+    if on_host and not on_cpu():
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    return contextlib.nullcontext()
 
 
 def check_memory(make: Callable, argument: Any, what: str, advice: str) -> None:

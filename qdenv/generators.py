@@ -25,6 +25,8 @@ Drive: TypeAlias = Callable[[Any, int], Any]
 # Draws costs of moves (`guidance`), (solution float32 [P], steps, repaired layout int8 [H, W],
 # drive) -> int32 [5, H, W]; traceable, of one layout.
 Guide: TypeAlias = Callable[[Any, Any, Any, Drive], Any]
+# Rows of a drawing or of numbers, which commands read from a file: no option of its own.
+Rows: TypeAlias = tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]]
 
 
 class Canvas(NamedTuple):
@@ -93,7 +95,7 @@ class CostsConfig(Ranged):
 
     draws: ClassVar[bool] = False  # tiles: nothing is repaired
     # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
-    floor: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
+    floor: Rows = ()
     base: Base = "crisscross"  # the costs from which the search begins
     # whether they are smooth over the floor, which may be of any size: thirty numbers
     smooth: bool = False
@@ -173,9 +175,7 @@ def costs(config: CostsConfig, canvas: Canvas) -> Generator:
     moves = existing_moves(parse(config.floor, "#.") == 1)
     places = np.flatnonzero(moves)
 
-    def guide(
-        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
-    ) -> jax.Array:
+    def guide(solution: jax.Array, steps: Any, layout: jax.Array, drive: Drive) -> jax.Array:
         if config.smooth:
             logarithms = smooth_logarithms(solution, layout.shape, config.base)
         else:

@@ -212,9 +212,7 @@ def nca(config: NcaConfig, canvas: Canvas) -> Generator:
 
         return jax.lax.map(one, solutions)
 
-    def guide(
-        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
-    ) -> jax.Array:
+    def guide(solution: jax.Array, steps: Any, layout: jax.Array, drive: Drive) -> jax.Array:
         base = getattr(config, "base", "")
         if smooth:
             numbers = _QUICKER * solution[size:]
@@ -257,9 +255,7 @@ def update(config: UpdateConfig, canvas: Canvas) -> Generator:
         jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), weights)
     )
 
-    def guide(
-        solution: jax.Array, steps: jax.Array | int, layout: jax.Array, drive: Drive
-    ) -> jax.Array:
+    def guide(solution: jax.Array, steps: Any, layout: jax.Array, drive: Drive) -> jax.Array:
         weights = unravel(solution)
         logarithms = jnp.zeros((NUM_MOVES, *layout.shape))
         for number in range(config.rounds):

@@ -44,14 +44,10 @@ class Pipeline(NamedTuple):
 
 
 def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
-    """Build the chain from parameters to scores.
+    """Build the chain from parameters to scores that `config` describes.
 
-    Args:
-        config: domain, generator, repair, and how often each layout is simulated.
-        repair_seed: other numbers give other repairs of about equal cost.
-
-    Raises:
-        InputError: the canvas is too small.
+    Another `repair_seed` gives other repairs of about equal cost. Raises InputError if the canvas
+    is too small.
     """
     domain = make_domain(config.domain)
     generator = GENERATORS.make(config.generator, domain.canvas)
@@ -170,13 +166,9 @@ def score_layout(
 def evaluate(pipeline: Pipeline, parameters: jax.Array, key: jax.Array) -> Evaluation:
     """Evaluate a population; traceable, with the repair as a host callback.
 
-    Args:
-        pipeline: from `make_pipeline`.
-        parameters: float32 [B, P].
-        key: consumed; item ``i`` uses ``fold_in(key, i)``, so a shorter batch gives the same.
-
-    Returns:
-        the evaluation, with a leading axis B. A layout that fails a stage has ``success = False``.
+    `pipeline` is from `make_pipeline`, `parameters` are float32 [B, P]. Consumes `key`: item ``i``
+    uses ``fold_in(key, i)``, so a shorter batch gives the same. Returns the evaluation, with a
+    leading axis B; a layout that fails a stage has ``success = False``.
     """
     unrepaired = _grow_layouts(pipeline.grow, parameters)
     repaired, status = unrepaired, jnp.full(len(unrepaired), RepairStatus.OPTIMAL, jnp.int32)

@@ -91,19 +91,18 @@ def _ratio(ours: float, theirs: float, parts: np.ndarray, freedom: float) -> Dif
     """Bound a ratio of means by Fieller's interval; `parts` [2, 2] is their covariance."""
     from scipy.special import stdtrit  # late, as in `margin`
 
-    nan = float("nan")
     if theirs == 0:
-        return Difference(nan, nan, nan, False)
+        return Difference(np.nan, np.nan, np.nan, False)
     percent = float(100 * (ours / theirs - 1))
     if np.isnan(parts).any():
-        return Difference(percent, nan, nan, False)
+        return Difference(percent, np.nan, np.nan, False)
     if not parts.any():
         return Difference(percent, percent, percent, bool(percent))
     spread = stdtrit(freedom, _QUANTILE) ** 2 * parts
     # |ours - ratio * theirs| is within t standard errors: a quadratic in the ratio.
     a, b = theirs**2 - spread[1, 1], 2 * (spread[0, 1] - ours * theirs)
     if a <= 0:
-        return Difference(percent, nan, nan, False)
+        return Difference(percent, np.nan, np.nan, False)
     # Of equal runs it is 0, but for rounding.
     root = np.sqrt(max(b**2 - 4 * a * (ours**2 - spread[0, 0]), 0.0))
     low, high = (float(100 * ((-b + sign * root) / (2 * a) - 1)) for sign in (-1, 1))

@@ -33,6 +33,7 @@ else:  # a name in annotations is no reason to import jax
     Array: TypeAlias = Any
     MeasureFunction: TypeAlias = Any
 Number: TypeAlias = Any  # one, or with leading axes an array of them
+Extras: TypeAlias = Mapping[str, Array]  # what an archive stores beside a `Score`: [B, ...] by name
 
 _LONGEST_LINE = 2000  # characters of a message; a damaged file could fill gigabytes
 

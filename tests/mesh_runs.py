@@ -16,8 +16,7 @@ from qdenv.run.config import RunConfig
 from qdenv.run.experiment import make_experiment, make_iteration
 from qdenv.search.settings import CmaMaeConfig
 from qdenv.settings import EvaluationConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
 
 _NCA = NcaConfig(steps=4, kernel_sizes=(3, 1), hidden=4)
 _PLANNER = PibtConfig(backend="xla")  # the quickest to compile

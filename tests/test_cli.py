@@ -61,7 +61,7 @@ print("loaded:", *({{"jax", "numba", "numpy", "matplotlib", "qdax", "scipy"}} & 
         (["presets"], "maze-quick", {"numpy"}),
         (["simulate", "--help"], "number of agents", {"numpy"}),
         (["train", "--help-all"], "--emitters", {"numpy"}),
-        (["train", "quick", "--shelves", "1000"], "1000 shelves", {"numpy"}),
+        (["train", "quick", "--shelves", "1000"], "at least 1000", {"numpy"}),
         (["check", "nowhere.json"], "cannot be read", {"numpy"}),
         (["simulate", "nowhere.json"], "cannot be read", {"numpy"}),
         (["replay", "nowhere.json"], "cannot be read", {"numpy"}),

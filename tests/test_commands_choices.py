@@ -14,7 +14,7 @@ from qdenv.run.config import choose_algorithm, choose_domain, choose_planner
 from qdenv.search.map_elites import MapElitesConfig
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulation.mapf.negotiated.settings import HIGH
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import PibtConfig
 from qdenv.types import InputError
 
 QUICK = PRESETS["quick"]

@@ -16,9 +16,14 @@ from qdenv.grid import parse
 from qdenv.registry import Entry
 from qdenv.run.config import override
 from qdenv.simulation.mapf.negotiated.settings import HIGH, LOW
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import PLANNERS, describe_planner, find_planner, record_planner
+from qdenv.simulation.mapf.settings import (
+    PLANNERS,
+    PbsConfig,
+    PibtConfig,
+    describe_planner,
+    find_planner,
+    record_planner,
+)
 from qdenv.types import InputError
 
 STUDIES = ["simulate", "sweep", "compare", "scalability"]

@@ -16,8 +16,7 @@ from experiments.published import FLEETS, TABLE_4, TRAFFIC
 from experiments.table_5 import TABLE
 from qdenv.io.records import read_table
 from qdenv.shipped import named
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
 from qdenv.stats import margin, paired_difference, sample_of
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import read_plan

@@ -24,8 +24,7 @@ from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.run.evaluate import Threads
 from qdenv.settings import EvaluationConfig
 from qdenv.simulation.mapf import fleet
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
 from qdenv.study.engine import run_seeds
 from qdenv.types import Floor, InputError
 

@@ -12,8 +12,7 @@ from qdenv.grid import DOWN, LEFT, RIGHT, UP, move_steps, parse
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.highways import _price, human_cost, traffic_flow
 from qdenv.simulation.mapf.goals import task_odds
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import Plan, guide, read_plan
 from qdenv.types import InputError

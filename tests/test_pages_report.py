@@ -15,8 +15,7 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.guidance import crisscross
 from qdenv.io.layouts import write_layout
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
 from qdenv.study.plans import Plan, read_plan
 from qdenv.study.table import Row, decide
 from qdenv.types import InputError

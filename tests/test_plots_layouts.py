@@ -14,7 +14,7 @@ from qdenv.guidance import crisscross
 from qdenv.study.plans import Plan
 from qdenv.types import InputError
 from qdenv.view.change import draw_change
-from qdenv.view.layouts import CHANGED, COLOURS, draw_frames, draw_layout, draw_plan
+from qdenv.view.layouts import CHANGED, COLOURS, draw_frames, draw_plan
 from qdenv.view.style import save_figure
 
 DRAWING = [".@ew", "e@..", "...."]
@@ -22,7 +22,7 @@ LAYOUT = parse(DRAWING, ".@ew")
 
 
 def test_every_tile_has_its_colour():
-    image = draw_layout(LAYOUT, ".@ew").images[0]
+    image = draw_plan(LAYOUT, ".@ew").axes[0].images[0]
     shown = image.cmap(image.norm(image.get_array()))[..., :3]
     for row, line in enumerate(DRAWING):
         for col, tile in enumerate(line):
@@ -31,10 +31,10 @@ def test_every_tile_has_its_colour():
 
 def test_the_legend_counts_the_tiles_that_are_there():
     names = {".": "empty", "@": "shelf", "e": "endpoint", "w": "workstation"}
-    legend = draw_layout(LAYOUT, ".@ew", names=names).get_legend()
+    legend = draw_plan(LAYOUT, ".@ew", names).axes[0].get_legend()
     texts = [text.get_text() for text in legend.get_texts()]
     assert texts == ["empty: 7 cells", "shelf: 2 cells", "endpoint: 2 cells", "workstation: 1 cell"]
-    strange = draw_layout(np.array([[0, 1]]), "?!").get_legend().get_texts()
+    strange = draw_plan(np.array([[0, 1]]), "?!").axes[0].get_legend().get_texts()
     assert [text.get_text() for text in strange] == ["'?': 1 cell", "'!': 1 cell"]
 
 

@@ -8,8 +8,7 @@ import pytest
 from qdenv.configurations import PRESETS
 from qdenv.run.config import config_from_json, config_to_json, override
 from qdenv.run.directory import Metrics, RunDirectory
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import PbsConfig, PibtConfig
 from qdenv.types import InputError
 
 SOURCE = Path("RUN/config.json")

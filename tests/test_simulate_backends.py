@@ -18,8 +18,8 @@ from qdenv.simulation.mapf.host.state import make_run
 from qdenv.simulation.mapf.negotiated.settings import LOW, NegotiatedConfig
 from qdenv.simulation.mapf.pibt import numba as pibt_on_host
 from qdenv.simulation.mapf.pibt import planner as pibt_in_xla
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.planner import NOBODY
+from qdenv.simulation.mapf.settings import PibtConfig
 from qdenv.study.engine import _program
 from qdenv.types import InputError
 

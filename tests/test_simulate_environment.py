@@ -13,8 +13,7 @@ from robustness.fleets import TILES, random_layout
 from qdenv.grid import MOVES, parse
 from qdenv.simulation.mapf.audit import check_moves, replay_tasks
 from qdenv.simulation.mapf.environment import DOWN, LEFT, RIGHT, UP, WAIT, Environment, settle
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow

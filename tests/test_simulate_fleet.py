@@ -26,9 +26,8 @@ from qdenv.simulation.mapf import fleet
 from qdenv.simulation.mapf.goals import beside_goal, check_playable, tile_goal
 from qdenv.simulation.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulation.mapf.pibt.planner import rollout
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.planner import Planner, draw_goals, goal_table
-from qdenv.simulation.mapf.settings import PLANNERS
+from qdenv.simulation.mapf.settings import PLANNERS, PibtConfig
 from qdenv.types import InputError, TaskRule
 
 pytestmark = pytest.mark.slow

@@ -24,10 +24,8 @@ from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.host.distances import distance, empty_fields
 from qdenv.simulation.mapf.host.state import grid_map
 from qdenv.simulation.mapf.negotiated.settings import HIGH, LOW
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.planner import UNREACHABLE_COST
-from qdenv.simulation.mapf.settings import FleetConfig
+from qdenv.simulation.mapf.settings import FleetConfig, PbsConfig, PibtConfig
 from qdenv.study.engine import _program
 from qdenv.study.plans import Plan, read_plan
 from qdenv.types import InputError, TaskRule, Traffic

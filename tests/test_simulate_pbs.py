@@ -26,9 +26,9 @@ from qdenv.simulation.mapf.host.run import run_to_the_end
 from qdenv.simulation.mapf.host.state import HostRun, RunSettings, make_run
 from qdenv.simulation.mapf.metrics import Block
 from qdenv.simulation.mapf.pbs.planner import collect_goals, pbs, solve
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.pbs.workspace import Workspace, make_workspace
 from qdenv.simulation.mapf.planner import GoalTable, World, pad
+from qdenv.simulation.mapf.settings import PbsConfig
 
 pytestmark = pytest.mark.slow
 

@@ -19,8 +19,8 @@ from qdenv.simulation.mapf.host import run as host_run
 from qdenv.simulation.mapf.host.distances import DistanceFields, empty_fields
 from qdenv.simulation.mapf.metrics import Recording
 from qdenv.simulation.mapf.pbs import planner as pbs_planner
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.pbs.workspace import Workspace, make_workspace
+from qdenv.simulation.mapf.settings import PbsConfig
 from qdenv.study.engine import run_seeds
 from qdenv.types import TaskRule, Traffic
 

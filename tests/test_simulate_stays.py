@@ -15,8 +15,7 @@ from qdenv.simulation.mapf.audit import audit
 from qdenv.simulation.mapf.environment import WAIT, Environment
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.negotiated.settings import LOW
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import PbsConfig, PibtConfig
 from qdenv.types import Goal, TaskRule
 
 TILES = ".#eio"

@@ -13,7 +13,7 @@ from qdenv.cli import main as cli
 from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 from qdenv.simulation.mapf.fleet import FleetConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
+from qdenv.simulation.mapf.settings import PibtConfig
 from qdenv.stats import paired_difference, wilson_interval
 from qdenv.study.engine import Simulated, run_seeds
 from qdenv.study.options import parse_counts

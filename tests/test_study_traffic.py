@@ -8,8 +8,7 @@ import pytest
 import qdenv
 from qdenv.domains.base import find_domain
 from qdenv.grid import move_steps, parse
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
-from qdenv.simulation.mapf.settings import FleetConfig, find_planner
+from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig, find_planner
 from qdenv.study import traffic
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import Plan

@@ -100,15 +100,9 @@ _longest_path = jax.jit(longest_path)
 
 
 def _measure(
-    weights: Weights,
-    layout: Array,
-    key: jax.Array,
-    runs: int,
-    horizon: int,
-    reference_batching: bool = False,
+    play: Callable, weights: Weights, layout: Array, key: jax.Array, runs: int, horizon: int
 ) -> Success:
-    """Sum up the episodes of one maze; consumes the key."""
-    play = _run_published if reference_batching else run_alone
+    """Sum up the episodes of one maze that `play` runs; consumes the key."""
     episodes = play(weights, jnp.asarray(layout), key, runs, horizon)
     successes = int(episodes.success.sum())
     low, high = wilson_interval(successes, runs)
@@ -133,7 +127,8 @@ def evaluate_agent(
     """
     wilson_interval(0, runs)  # refuses a number of runs below one before any work is done
     horizon, key = horizon or default_horizon(layout), jax.random.key(seed)
-    result = _measure(weights, layout, key, runs, horizon, reference_batching)
+    play = _run_published if reference_batching else run_alone
+    result = _measure(play, weights, layout, key, runs, horizon)
     if result.shortest == 0:
         raise InputError("this maze has no two empty tiles that touch: nothing to solve")
     return result
@@ -203,7 +198,7 @@ def compare_with_random(
     )
     results = []
     for maze, key in zip(drawn, jax.random.split(jax.random.key(seed), mazes), strict=True):
-        results.append(_measure(weights, maze.layout, key, runs, horizon))
+        results.append(_measure(run_alone, weights, maze.layout, key, runs, horizon))
         progress("solving random mazes", len(results) / mazes, "")
     rates = [result.rate for result in results]
     error = float(standard_error(rates))

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.settings import LevelConfig
-from qdenv.grid import fixed_point
+from qdenv.grid import count_neighbours, fixed_point, move_steps
 from qdenv.simulation.maze import world
-from qdenv.simulation.maze.world import EMPTY, GOAL, HEADINGS, REACH, WALL
+from qdenv.simulation.maze.world import EMPTY, GOAL, REACH, WALL
 from qdenv.types import Array
 
 _LONGEST_PERIOD = 12  # of textures
@@ -59,9 +59,8 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
 
 def _distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
     """Count the moves from every place of a canvas to the goal (int32 [(H + 8) (W + 8)])."""
-    width = kinds.shape[1]
     free = (kinds != WALL).reshape(-1)
-    strides = [int(row) * width + int(col) for row, col in HEADINGS]
+    strides = move_steps(kinds.shape[1])[1:].tolist()
     far = jnp.full(free.shape, _UNSEEN, jnp.int32).at[goal].set(0)
 
     def relax(old: jax.Array) -> jax.Array:
@@ -81,12 +80,9 @@ def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     """
     n = layout.shape[1]
     kinds = jnp.pad(layout, REACH, constant_values=WALL)
-    free = (kinds != WALL).reshape(-1)
+    free = kinds != WALL
     # Random tiles among those with an empty neighbour, for the others begin no path.
-    beside = jnp.stack(
-        [jnp.roll(free, int(row) * (n + 2 * REACH) + int(col)) for row, col in HEADINGS]
-    )
-    useful = jnp.cumsum(free & beside.any(0))
+    useful = jnp.cumsum(free & (count_neighbours(free) > 0))
     rank = (jax.random.uniform(key, (_SWEEPS,)) * useful[-1]).astype(jnp.int32)
     tiles = jnp.searchsorted(useful, rank, side="right")
     far = jax.vmap(lambda tile: _distances(kinds, tile))(tiles)

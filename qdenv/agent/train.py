@@ -146,15 +146,9 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
     clipping, adam = state.optimiser
     rate, entropy = config.rate * (1 - 0.95 * done), config.entropy * (1 - 0.9 * done)
     adam = adam._replace(hyperparams={**adam.hyperparams, "learning_rate": rate})
+    learner = _optimiser(config), (clipping, adam)
     weights, optimiser, log = learn(
-        keys[2],
-        state.weights,
-        _optimiser(config),
-        (clipping, adam),
-        batch,
-        config.ppo,
-        entropy,
-        config.anchor,
+        keys[2], state.weights, *learner, batch, config.ppo, entropy, config.anchor
     )
     key, ended = jax.random.key_data(keys[3]), steps.done.sum()
     longest = (steps.done & steps.longest).sum()

@@ -211,16 +211,13 @@ def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSp
     check_strategy(chosen.strategy or "")  # the parser would not say why
     effort = "effort of the negotiated planner: low for a search, high for numbers to report"
     about = "replaces the preset's domain, at the same size"
+    draws = "generator; guided-nca also draws costs of moves"
     listed = [
         ("domain", _name(DOMAINS, config.evaluation.domain), about),
         ("effort", Literal["low", "high"], effort),
         ("planner", _name(PLANNERS, planner), "planner, with its defaults, which --help-all lists"),
         ("algorithm", _name(ALGORITHMS, config.algorithm), "algorithm, with its defaults"),
-        (
-            "generator",
-            _name(GENERATORS, config.evaluation.generator),
-            "generator; guided-nca also draws costs of moves",
-        ),
+        ("generator", _name(GENERATORS, config.evaluation.generator), draws),
         # `Execution` has the number of workers, too.
         *(
             (name, Annotated[args.Range, get_args(kind)[-1]], text)

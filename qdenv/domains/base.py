@@ -9,10 +9,9 @@ from itertools import pairwise
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-import tyro
 
 from qdenv import devices, score
-from qdenv.generators import Canvas
+from qdenv.generators import Canvas, Rows
 from qdenv.grid import draw, inside_frame, of_tiles, parse
 from qdenv.lazy import jax, jnp
 from qdenv.ranges import Ranged, read_range
@@ -57,15 +56,11 @@ class DomainConfig(Ranged):
     cols: int = 36  # columns of the whole layout, frame included
     # rows of a drawing of the whole layout, which commands read from a file: a tile where a cell
     # must hold it, ``?`` where anything may be; empty for none
-    keep: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
-        default=(), kw_only=True
-    )
+    keep: Rows = field(default=(), kw_only=True)
 
     # rows of a plan that a search goes around: the archive's only axis is then how many of its
     # racks were moved; empty for the domain's own axes
-    around: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = field(
-        default=(), kw_only=True
-    )
+    around: Rows = field(default=(), kw_only=True)
 
     # domains with a fleet declare a field of this name
     fleet: ClassVar[FleetConfig | None] = None
@@ -349,16 +344,9 @@ def make_domain(config: Any) -> Domain:
     if not config.keep:
         return domain
     check_shape(config.keep, domain.shape)
-    codes = {FREE: -1} | {symbol: kind for kind, symbol in enumerate(domain.tiles)}
-    for index, row in enumerate(config.keep):
-        for column, symbol in enumerate(row):
-            if symbol not in codes:
-                raise InputError(
-                    f"row {index}, column {column} of the cells to keep is {symbol!r}: "
-                    f"draw {FREE!r} or one of {' '.join(map(repr, domain.tiles))}"
-                )
+    known = f"draw {FREE!r} or one of {' '.join(map(repr, domain.tiles))}"
     # The tile that each cell must hold, -1 for any.
-    locked = np.array([[codes[symbol] for symbol in row] for row in config.keep], np.int8)
+    locked = parse(config.keep, FREE + domain.tiles, known) - 1
     frame, make_rules = domain.frame, domain.rules
     domain = replace(domain, frame=lambda area: jnp.where(locked >= 0, locked, frame(area)))
     if make_rules is None:

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
-import tyro
 from annotated_types import Interval
 
 from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.generators import Rows
 from qdenv.lazy import jax
 from qdenv.ranges import NonNegativeFloat, NonNegativeInt, PositiveInt, Stay, TaskRate, check_range
 from qdenv.registry import Entry
@@ -74,7 +74,7 @@ class HallConfig(BuiltConfig):
     # rows of numbers, one a cell: how likely an endpoint there is drawn as a goal. They belong to
     # places: shelves may move, demand does not. Or "shelves": all of these are alike, however many
     # endpoints serve one. Empty where all endpoints are alike
-    demand: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
+    demand: Rows = ()
 
     def __post_init__(self) -> None:
         """Refuse times and shares of stations that there are not."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import tyro
-
 from qdenv import score
 from qdenv.domains.base import Domain, DomainConfig, environment_entropy
 from qdenv.domains.fleet import THROUGHPUT, fleet_simulator, throughput
+from qdenv.generators import Rows
 from qdenv.lazy import jax
 from qdenv.ranges import TaskRate
 from qdenv.registry import Entry
@@ -32,7 +31,7 @@ class MapConfig(DomainConfig):
     # tasks that arrive per timestep; they never run out where it is 0
     task_rate: TaskRate = 0.0
     # rows of numbers, one a cell: how likely it is drawn as a goal; empty where all are alike
-    demand: tyro.conf.SuppressFixed[tyro.conf.Fixed[tuple[str, ...]]] = ()
+    demand: Rows = ()
 
 
 def make_map(config: MapConfig) -> Domain:

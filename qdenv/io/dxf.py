@@ -90,11 +90,8 @@ def read_dxf(path: Path) -> Drawing:
     beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)}
     layers, side = facts.get("layers"), facts.get("cell")
     if not isinstance(layers, dict) or not side:
-        raise damaged(
-            path,
-            f"{beside.name} beside it says what its layers are, and the length "
-            'of a cell in metres: layers = {RACKS = "@"}, cell = 1.2',
-        )
+        form = 'the length of a cell in metres: layers = {RACKS = "@"}, cell = 1.2'
+        raise damaged(path, f"{beside.name} beside it says what its layers are, and {form}")
     tiles = {str(name).casefold(): str(tile)[:1] for name, tile in layers.items() if tile}
     known = [(tiles[name], points) for name, points in shapes if name in tiles]
     others.update(name for name, _ in shapes if name not in tiles)

@@ -19,7 +19,7 @@ from qdenv.io.formats import holds
 from qdenv.io.layouts import ENDINGS
 from qdenv.io.records import read_json, structured, unstructured
 from qdenv.ops import options as args
-from qdenv.ops.output import Layout, Table, format_table, say
+from qdenv.ops.output import Layout, Place, Table, format_table, say
 from qdenv.progress import Bar
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
@@ -101,13 +101,8 @@ def improve(
     from qdenv.study.improve import ImproveConfig  # imports the whole chain
 
     ending = Path(args.name_of(layout)).suffix.lower()
-    config = ImproveConfig(
-        settings,
-        ending=ending if ending in ENDINGS else ".json",
-        minutes=minutes,
-        evaluations=evaluations,
-        **numbers,
-    )
+    ending = ending if ending in ENDINGS else ".json"
+    config = ImproveConfig(settings, ending, minutes=minutes, evaluations=evaluations, **numbers)
     folder = Path(path) if path else Path("runs") / f"improve-{plan.name}-{agents}"
     _begin(folder, plan, config)
     planner = describe_planner(options.planner)
@@ -222,7 +217,6 @@ def _finish(folder: Path, plan: Plan, config: Any, judged: Sequence[Any]) -> Tab
     """Write and print what is better, section by section, and draw what moving racks brings."""
     from qdenv.study import improve as studies
     from qdenv.view.change import draw_racks_moved  # imports matplotlib
-    from qdenv.view.style import save_figure
 
     rows, counts = [], [config.fleet.agents, round(studies.CROWD * config.fleet.agents)]
     table = [("section", "lanes", "shelves moved", *(f"{one} robots (95 %)" for one in counts))]
@@ -252,9 +246,8 @@ def _finish(folder: Path, plan: Plan, config: Any, judged: Sequence[Any]) -> Tab
             moves = (drivable(columns["repaired"]) & ~drivable(plan.layout)).sum(axis=(1, 2))
             found[studies.SECTIONS[section][0]] = moves, columns["objective"]
     hers = studies.mean_throughput(plan, config.searched, range(4)).mean()
-    picture = folder / "racks_moved.png"
-    save_figure(draw_racks_moved(found, config.searched.agents, float(hers)), picture, crop=True)
-    say(picture)
+    figure = draw_racks_moved(found, config.searched.agents, float(hers))
+    Place(folder / "racks_moved.png", False).draw(figure, crop=True)
     _report(folder, plan, [one for one in judged if one.is_better], config)
     worse = [studies.SECTIONS[one.section][0] for one in judged if not one.is_better]
     if worse:
@@ -283,7 +276,6 @@ def _write(folder: Path, plan: Plan, after: Plan, title: str, config: Any) -> No
     """Write a better plan, its guidance, and the picture of before and after."""
     from qdenv.study.improve import map_usage
     from qdenv.view.change import draw_change  # imports matplotlib
-    from qdenv.view.style import save_figure
 
     domain, costs, name = plan.domain, after.costs, title.replace(" ", "_")
     target = folder / f"{name}{config.ending}"
@@ -294,6 +286,6 @@ def _write(folder: Path, plan: Plan, after: Plan, title: str, config: Any) -> No
         costs = None
     Layout(after.layout, domain, plan.facts.details, costs=costs).save(target)
     usages = map_usage(plan, config.fleet), map_usage(after, config.fleet)
-    picture = folder / f"{name}.png"
-    save_figure(draw_change(plan, after, usages, (plan.name, title)), picture, crop=True)
-    say(*written, picture)
+    say(*written)
+    figure = draw_change(plan, after, usages, (plan.name, title))
+    Place(folder / f"{name}.png", False).draw(figure, crop=True)

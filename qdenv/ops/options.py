@@ -319,17 +319,10 @@ def each_planner(options: Mapping[str, Any]) -> list[Fleet]:
 
 
 def read_plan(layout: Any, domain: str | None = None) -> Plan:
-    """Read a layout, whatever form it has.
+    """Read a layout: the path of a file, a `Plan`, a `Layout`, or an int array [H, W] of tiles.
 
-    Args:
-        layout: path of a file, a `Plan`, a `Layout`, or an int array [H, W] of tiles.
-        domain: whose layout; needed for arrays only.
-
-    Returns:
-        the plan: tiles, domain, and what its file states.
-
-    Raises:
-        InputError: it is no layout, or one of another domain.
+    `domain` says whose it is, which arrays alone need. Returns the plan: tiles, domain, and what
+    its file states. Raises InputError if it is no layout, or one of another domain.
     """
     if isinstance(layout, str | Path):
         return read_file(layout, domain)

@@ -161,19 +161,12 @@ class Layout:
     costs: np.ndarray | None = None
 
     def save(self, path: str | Path) -> Path:
-        """Write a layout file with the domain and the details in it.
+        """Write a layout file at `path`, which is returned, with the domain and the details in it.
 
-        Beside text and CSV, which hold none, domain, cells that must stay, rules and tasks are
-        facts in a .toml of the same name. What another leaves out, but the domain, is logged.
-
-        Args:
-            path: of the file, whose ending chooses the format.
-
-        Returns:
-            the path.
-
-        Raises:
-            InputError: the format cannot hold the layout, or the place cannot be written to.
+        The ending chooses the format. Beside text and CSV, which hold none, domain, cells that must
+        stay, rules and tasks are facts in a .toml of the same name. What another leaves out, but
+        the domain, is logged. Raises InputError if the format cannot hold the layout, or the place
+        cannot be written to.
         """
         own = self.domain.details
         facts = {**own.get("facts", {}), **self.details.get("facts", {})}

@@ -124,12 +124,8 @@ def replay(
         say(film)
         facts[ending[1:]] = film.path
     facts["megabytes"] = len(page.html.encode()) / 1e6
-    facts["settings"] = {
-        "layout": args.name_of(layout),
-        "domain": plan.domain.name,
-        "seed": seed,
-        "timesteps": motion.timesteps,
-    }
+    settings = {"layout": args.name_of(layout), "domain": plan.domain.name, "seed": seed}
+    facts["settings"] = {**settings, "timesteps": motion.timesteps}
     return dataclasses.replace(page, facts=facts)
 
 

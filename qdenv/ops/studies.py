@@ -191,15 +191,10 @@ class _Fleets:
         names = [PLANNERS.name_of(one.planner) for one in fleets]
         if len(set(names)) < len(names):  # one planner with other settings
             names = [f"{name} {number}" for number, name in enumerate(names, start=1)]
+        tasks, most = first.domain.simulator.tasks, max(counts)
         self._trials = [
-            studies.Trial(
-                first.domain.simulator.tasks,
-                one.config(max(counts), timesteps),
-                counts,
-                one.seeds,
-                planner if len(fleets) > 1 else "",
-            )
-            for one, planner in zip(fleets, names, strict=True)
+            studies.Trial(tasks, one.config(most, timesteps), counts, one.seeds, planner)
+            for one, planner in zip(fleets, names if len(fleets) > 1 else [""], strict=True)
         ]
         self.trial = self._trials[0]
         self._per_hour = options.per_hour

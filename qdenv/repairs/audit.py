@@ -18,14 +18,9 @@ class Violation(NamedTuple):
 
 
 def audit(layout: np.ndarray, rules: Rules) -> list[Violation]:
-    """Name every rule that a layout breaks, with the cells that do.
+    """Name every rule that a layout (int8 [H, W]) breaks, with the cells that do.
 
-    Args:
-        layout: int8 [H, W].
-        rules: of layouts of this size; another size is a violation.
-
-    Returns:
-        a `Violation` for each broken rule; empty for a feasible layout.
+    A `layout` of another size than the `rules` are for breaks one; a feasible one breaks none.
     """
     layout = np.asarray(layout)
     shape = rules.allowed.shape[:2]
@@ -136,9 +131,5 @@ def _violations(message: str, wrong: np.ndarray) -> list[Violation]:
 def _located(message: str, count: int, first: np.ndarray) -> str:
     """Add the number of cells, and the first (row, column), to a message."""
     row, column = first.tolist()
-    place = f"row {row}, column {column}"
-    return (
-        f"{message}: 1 cell, {place}"
-        if count == 1
-        else f"{message}: {count} cells, the first at {place}"
-    )
+    cells = "1 cell," if count == 1 else f"{count} cells, the first at"
+    return f"{message}: {cells} row {row}, column {column}"

@@ -101,17 +101,11 @@ class SavedArchive:
     def read(
         cls, path: Path, schema: ArchiveSchema, source: str, names: Mapping[str, tuple[int, ...]]
     ) -> Self:
-        """Read a file like archive.npz.
+        """Read a file like archive.npz at `path`, whose columns mean what `schema` says.
 
-        Args:
-            path: of the file.
-            schema: what its columns mean.
-            source: the run, for messages.
-            names: cells of named elites.
-
-        Raises:
-            InputError: it is no archive over these measures: a column is missing or of another
-                length, a cell lies outside, or a tile means nothing.
+        `source` is the run, for messages; `names` are the cells of named elites. Raises InputError
+        if it is no archive over these measures: a column is missing or of another length, a cell
+        lies outside, or a tile means nothing.
         """
         columns = read_arrays(path, _COLUMNS | {"repaired": Column("iu", 3)}, Column(), _KNOWN)
         index, cells = columns["index"], math.prod(one.cells for one in schema.measures)
@@ -161,15 +155,11 @@ class SavedArchive:
     def elite(
         self, which: str | Sequence[int] = "best", measures: Sequence[float] | None = None
     ) -> Elite:
-        """Find an elite.
+        """Find an elite by `which`: "best" or another name, or a cell, "12,40" or (12, 40).
 
-        Args:
-            which: "best" or another name, or a cell, "12,40" or (12, 40).
-            measures: in place of `which` a value for each measure: the elite of their cell, or else
-                the nearest one, where every axis counts as equally long.
-
-        Raises:
-            InputError: there is no elite at all or none in that cell, or the request is malformed.
+        `measures` give, in its place, a value for each measure: the elite of their cell, or else
+        the nearest one, where every axis counts as equally long. Raises InputError if there is no
+        elite at all or none in that cell, or the request is malformed.
         """
         if len(self) == 0:
             raise InputError(f"{self.source}: the archive is empty, no solution succeeded yet")
@@ -217,20 +207,14 @@ class SavedArchive:
 
     def _elite(self, row: int) -> Elite:
         names = [measure.name for measure in self.schema.measures]
-        values = self.columns["measures"][row]
+        values = self.columns["measures"][row].astype(float).tolist()
         # None of them in a search of mere numbers.
         layouts = [self.columns.get(name) for name in ("repaired", "unrepaired")]
         nothing = np.zeros((0, 0), np.int8)
         repaired, unrepaired = (nothing if one is None else one[row] for one in layouts)
-        return Elite(
-            self.columns["solution"][row],
-            float(self.columns["objective"][row]),
-            tuple(int(index) for index in self.cells[row]),
-            {name: float(value) for name, value in zip(names, values, strict=True)},
-            repaired,
-            self.schema,
-            unrepaired,
-        )
+        solution, objective = self.columns["solution"][row], float(self.columns["objective"][row])
+        cell, measures = tuple(self.cells[row].tolist()), dict(zip(names, values, strict=True))
+        return Elite(solution, objective, cell, measures, repaired, self.schema, unrepaired)
 
     def elites(self) -> Iterator[Elite]:
         """Iterate over all elites, in the order of the columns."""

@@ -89,16 +89,11 @@ class RunDirectory:
         measures: Sequence[Measure],
         start: np.ndarray | None = None,
     ) -> RunDirectory:
-        """Start a run's folder.
+        """Start a run in the folder `path`, which is made if need be.
 
-        Args:
-            path: the folder, which is made if need be.
-            config: every setting, resolved.
-            measures: the axes of the archive.
-            start: parameters from which the search begins, float [P]; None for zeros.
-
-        Raises:
-            InputError: the folder holds a run already, or belongs to the zoo.
+        `config` holds every setting, resolved; `measures` are the axes of the archive, `start` the
+        parameters from which the search begins (float [P], None for zeros). Raises InputError if
+        the folder holds a run already, or belongs to the zoo.
         """
         run = cls(Path(path))
         run.demand_new()
@@ -135,13 +130,9 @@ class RunDirectory:
 
     @classmethod
     def open(cls, path: str | Path) -> RunDirectory:
-        """Open an existing run.
+        """Open the run at `path`, its folder or ``zoo:DOMAIN/NAME``.
 
-        Args:
-            path: its folder, or ``zoo:DOMAIN/NAME``.
-
-        Raises:
-            InputError: there is no run, or a newer qdenv wrote it.
+        Raises InputError if there is no run, or a newer qdenv wrote it.
         """
         shipped = find(path)
         run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(path))
@@ -158,8 +149,7 @@ class RunDirectory:
     def locked(self) -> Iterator[None]:
         """Keep every other process from writing here while the context lasts.
 
-        Raises:
-            InputError: another process is at work on this run, or it is of the zoo.
+        Raises InputError if another process is at work on this run, or it is of the zoo.
         """
         self.demand_own()
         with locked(self.path):

@@ -46,17 +46,12 @@ class Experiment(NamedTuple):
 def make_experiment(
     config: RunConfig | str, start: np.ndarray | None = None, **settings: Any
 ) -> Experiment:
-    """Build a run's parts.
+    """Build the parts of a run of `config`, a configuration or the name of a preset.
 
-    Args:
-        config: a configuration, or the name of a preset.
-        start: parameters from which the search begins, float [P]; those of the generator that the
-            setting ``start`` names unless given.
-        **settings: replace those of the configuration as in `train`, wherever they are nested:
-            ``make_experiment("quick", backend="xla")``.
-
-    Raises:
-        InputError: a name is unknown, or a setting is impossible.
+    `start` are the parameters from which the search begins, float [P]; those of the generator that
+    the setting ``start`` names unless given. `settings` replace those of the configuration as in
+    `train`, wherever they are nested: ``make_experiment("quick", backend="xla")``. Raises
+    InputError if a name is unknown, or a setting is impossible.
     """
     if isinstance(config, str):
         from qdenv.configurations import find_preset  # which imports `run.config`
@@ -122,21 +117,13 @@ def observed(evaluation: Evaluation) -> dict[str, Array]:
 
 
 def make_iteration(experiment: Experiment) -> Callable[[Any, jax.Array], Any]:
-    """Make one whole iteration as one traceable function.
+    """Make one whole iteration of an `experiment` as one traceable function.
 
-    Under `jax.jit` the repair is the only thing that leaves the device (where the planner's
-    backend is XLA); under `lax.scan` a run is one program. `train` runs the same iteration in
-    parts instead, so that repairs and simulations overlap.
-
-    Args:
-        experiment: from `make_experiment`.
-
-    Returns:
-        function (state, iteration int32 []) -> state; the first state is
-        ``experiment.algorithm.init(experiment.search_key)``.
-
-    Raises:
-        InputError: the algorithm draws populations ahead, which takes several at once.
+    Under `jax.jit` the repair is the only thing that leaves the device (where the planner's backend
+    is XLA); under `lax.scan` a run is one program. `train` runs the same iteration in parts
+    instead, so that repairs and simulations overlap. Returns the function (state, iteration int32
+    []) -> state; the first state is ``experiment.algorithm.init(experiment.search_key)``. Raises
+    InputError if the algorithm draws populations ahead, which takes several at once.
     """
     if experiment.algorithm.ahead:
         raise InputError("a whole iteration as one function draws nothing ahead: leave ahead at 0")

@@ -215,16 +215,9 @@ class Publisher:
         failed = np.asarray(evaluation.status) >= RepairStatus.IMPOSSIBLE
         # A simulator whose runs cannot congest has no such field.
         congested = np.asarray(getattr(evaluation.runs, "congested", False))
-        row = Metrics(
-            iteration,
-            iteration * len(failed),
-            qd_score,
-            filled / cells,
-            best,
-            round(self._seconds, 3),
-            int(failed.sum()),
-            int(congested.sum()),
-        )
+        evaluations, seconds = iteration * len(failed), round(self._seconds, 3)
+        counts = int(failed.sum()), int(congested.sum())
+        row = Metrics(iteration, evaluations, qd_score, filled / cells, best, seconds, *counts)
         self._rows.append(row)
         write_csv(self._run.path / METRICS, Metrics._fields, self._rows)
         notes = self._algorithm.notes(search.state)

@@ -120,20 +120,11 @@ class GridArchive(MapElitesRepertoire):
     ) -> Self:
         """Make an archive of a first batch, which may be empty, as qdax's `MAPElites` expects it.
 
-        Bind the grid first: ``functools.partial(GridArchive.init, measures=measures)``.
-
-        Args:
-            genotypes: solutions, pytree of [B, ...].
-            fitnesses: float [B] or [B, 1], the objectives.
-            descriptors: float [B, M], the measures.
-            centroids: follow from the axes, and are ignored.
-            *args: ignored.
-            measures: the axes.
-            extra_scores: arrays [B, ...] by name.
-            keys_extra_scores: which of these are stored.
-
-        Raises:
-            InputError: the measures make no grid.
+        Bind the axes first: ``functools.partial(GridArchive.init, measures=measures)``. Solutions
+        are `genotypes` (pytree of [B, ...]), objectives `fitnesses` (float [B] or [B, 1]), measures
+        `descriptors` (float [B, M]). Of the `extra_scores`, arrays [B, ...] by name, those that
+        `keys_extra_scores` names are stored. `centroids`, which follow from the axes, and `args`
+        are ignored. Raises InputError if the measures make no grid.
         """
         extras = {
             key: value for key, value in (extra_scores or {}).items() if key in keys_extra_scores
@@ -185,11 +176,8 @@ class GridArchive(MapElitesRepertoire):
             extras: arrays [B, ...] by name, at least those declared at construction.
             success: bool [B], False for rows that enter nothing.
 
-        Returns:
-            the archive, and how each row was received.
-
-        Raises:
-            InputError: when tracing, if one of the extras is missing.
+        Returns the archive, and how each row was received. Raises InputError, when tracing, if one
+        of the extras is missing.
         """
         objective = jnp.asarray(objective, self.fitnesses.dtype)
         measures = jnp.asarray(measures, self.descriptors.dtype)
@@ -297,10 +285,8 @@ class GridArchive(MapElitesRepertoire):
         """Return arrays over all cells by the names that files hold.
 
         They are ``solution`` float [C, P], ``objective`` float [C], ``measures`` float [C, M], for
-        a soft archive ``threshold`` float [C], and every extra [C, ...].
-
-        Raises:
-            InputError: the solutions are no single array [C, P], or an extra takes a column's name.
+        a soft archive ``threshold`` float [C], and every extra [C, ...]. Raises InputError if the
+        solutions are no single array [C, P], or an extra takes a column's name.
         """
         if not hasattr(self.genotypes, "shape"):
             raise InputError("only an archive whose solutions are one array [C, P] can be exported")
@@ -319,9 +305,7 @@ class GridArchive(MapElitesRepertoire):
         """Return the filled cells as numpy arrays, with an axis of n elites in place of C.
 
         They are ``index`` (int64 [n], the cells) and the `columns`: what a run's archive.npz holds.
-
-        Raises:
-            InputError: as for `columns`.
+        Raises InputError as these do.
         """
         index = np.flatnonzero(self.filled)
         columns = {name: np.asarray(column)[index] for name, column in self.columns().items()}

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.search.archive import GridArchive, Insertion
-from qdenv.types import Array, Encoding, InputError, Measure, Score
+from qdenv.types import Array, Encoding, Extras, InputError, Measure, Score
 
 ROW = jax.ShapeDtypeStruct((), jnp.int32)  # what an archive holds in place of a solution
 _FIRST_ROWS = 1024  # of a store that grows; it doubles when need be, so a search compiles few times
@@ -114,22 +114,18 @@ class StoredArchive(NamedTuple):
         archives = [result] if learning is None else [learning, result]
         return cls(learning, result, Store.empty(solution, batch, *archives))
 
-    def add(
-        self, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
-    ) -> tuple[Self, Insertion]:
+    def add(self, solutions: jax.Array, score: Score, extras: Extras) -> tuple[Self, Insertion]:
         """Add a batch, as `check_batch` returns it, to all archives.
 
         Returns them, and how the learning archive (the result archive where there is none) received
         each row.
         """
         rows, learning = self.store.free_rows(len(solutions)), self.learning
-        measures, success = score.measures, score.success
-        result, insertion = self.result.insert(
-            rows, score.result_objective, measures, extras, success
-        )
+        objective, result_objective, measures, success = score
+        result, insertion = self.result.insert(rows, result_objective, measures, extras, success)
         archives, cells = [result], result.cells_of(measures)
         if learning is not None:
-            learning, insertion = learning.insert(rows, score.objective, measures, None, success)
+            learning, insertion = learning.insert(rows, objective, measures, None, success)
             archives = [learning, result]
         store = self.store.write(rows, solutions, cells, *archives)
         return type(self)(learning, result, store), insertion
@@ -168,7 +164,7 @@ class Algorithm(NamedTuple):
     # (state, solutions, `Score` with a leading axis B, extras: dict of arrays [B, ...], those of
     # the problem and others) -> state. Rows whose score is no success enter no archive and do not
     # change the rank of other rows.
-    tell: Callable[[Any, Array, Score, Mapping[str, Array]], Any]
+    tell: Callable[[Any, Array, Score, Extras], Any]
     archive: Callable[[Any], GridArchive]  # state -> the result archive
     batch_size: int  # B, the number of solutions of every ask
     # state -> numbers by name that a run logs after each iteration; NaN while they are undefined.
@@ -183,19 +179,10 @@ def check_batch(solutions: Array, score: Score) -> tuple[jax.Array, Score]:
     """Check the arguments of `tell`; rows that hold anything not finite count as failed."""
     solutions = jnp.asarray(solutions)
     score = Score(*(jnp.asarray(column) for column in score))
-    chex.assert_rank([solutions, score.measures], 2)
-    chex.assert_shape(
-        [score.objective, score.result_objective, score.success], (solutions.shape[0],)
-    )
-    chex.assert_equal_shape_prefix([solutions, score.measures], 1)
-    usable = (
-        score.success
-        & jnp.isfinite(score.objective)
-        & jnp.isfinite(score.result_objective)
-        & jnp.isfinite(score.measures).all(axis=-1)
-        & jnp.isfinite(solutions).all(axis=-1)
-    )
-    return solutions, score._replace(success=usable)
+    chex.assert_rank([solutions, *score], [2, 1, 1, 2, 1])
+    chex.assert_equal_shape_prefix([solutions, *score], 1)
+    finite = jnp.isfinite(jnp.column_stack([solutions, *score[:3]])).all(axis=-1)
+    return solutions, score._replace(success=score.success & finite)
 
 
 def start_solution(x0: Array | None, solution_dim: int) -> jax.Array:

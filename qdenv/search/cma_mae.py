@@ -10,7 +10,7 @@ elites, with the choices of pyribs' `EvolutionStrategyEmitter`.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import chex
@@ -30,7 +30,7 @@ from qdenv.search.base import (
 from qdenv.search.settings import CmaEsConfig, CmaMaeConfig
 from qdenv.search.strategies import make_strategy
 from qdenv.search.strategies.base import SMALLEST_STEP, Strategy
-from qdenv.types import Array, InputError, Score, look_up
+from qdenv.types import Array, Extras, InputError, Score, look_up
 
 _FLAT = 1e-12  # best and worst ranking values closer than this restart the emitter (pyribs)
 
@@ -286,9 +286,7 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
         solutions, changed = emitters.ask(state.emitters, ask_key)
         return solutions, state._replace(key=key, emitters=changed)
 
-    def tell(
-        state: SearchState, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> SearchState:
+    def tell(state: SearchState, solutions: Array, score: Score, extras: Extras) -> SearchState:
         solutions, score = check_batch(solutions, score)
         key, tell_key = jax.random.split(state.key)
         archives, insertion = state.archives.add(solutions, score, extras)

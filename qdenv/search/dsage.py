@@ -6,7 +6,7 @@ https://arxiv.org/abs/2206.04199, as Zhang et al. 2023 use it for layouts.
 
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -17,7 +17,7 @@ from qdenv.search.archive import GridArchive
 from qdenv.search.base import Algorithm, Problem, StoredArchive, check_batch, plain_key
 from qdenv.search.model import Model, ModelState
 from qdenv.search.settings import DsageConfig
-from qdenv.types import Array, InputError, Measure, Score
+from qdenv.types import Array, Extras, InputError, Measure, Score
 
 # Tiles that a geometric draw changes at most: more come once in 65,000 mutations (2^-16), and
 # the shapes must be static.
@@ -88,9 +88,7 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
         state = state._replace(key=key, model=known, queue=queue, waiting=waiting)
         return rows.astype(jnp.float32), state
 
-    def tell(
-        state: DsageState, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> DsageState:
+    def tell(state: DsageState, solutions: Array, score: Score, extras: Extras) -> DsageState:
         solutions, score = check_batch(solutions, score)
         archives, _ = state.archives.add(solutions, score, extras)
         return state._replace(
@@ -99,14 +97,7 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
             archives=archives,
         )
 
-    return Algorithm(
-        init,
-        ask,
-        tell,
-        lambda state: state.archives.dense(),
-        batch,
-        lambda state: model.notes(state.model),
-    )
+    return Algorithm(init, ask, tell, lambda state: state.archives.dense(), batch, model.notes)
 
 
 def search_surrogate(

@@ -5,7 +5,7 @@ https://arxiv.org/abs/1504.04909; Vassiliades and Mouret 2018, "Discovering the 
 by leveraging interspecies correlation", https://arxiv.org/abs/1804.03906.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import jax
 from qdax.core.emitters.mutation_operators import isoline_variation
@@ -20,7 +20,7 @@ from qdenv.search.base import (
     start_solution,
 )
 from qdenv.search.settings import MapElitesConfig, RandomSearchConfig
-from qdenv.types import Array, Score
+from qdenv.types import Array, Extras, Score
 
 
 def map_elites(config: MapElitesConfig, problem: Problem, x0: Array | None = None) -> Algorithm:
@@ -71,10 +71,9 @@ def _passive(
         archives = StoredArchive.empty(problem, start, batch_size, thresholds)
         return SearchState(plain_key(key), None, archives)
 
-    def tell(
-        state: SearchState, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> SearchState:
-        archives, _ = state.archives.add(*check_batch(solutions, score), extras)
+    def tell(state: SearchState, solutions: Array, score: Score, extras: Extras) -> SearchState:
+        solutions, score = check_batch(solutions, score)
+        archives, _ = state.archives.add(solutions, score, extras)
         return state._replace(archives=archives)
 
     return Algorithm(init, ask, tell, lambda state: state.archives.dense(), batch_size, ahead=ahead)

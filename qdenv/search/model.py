@@ -1,7 +1,7 @@
 """The surrogate of a search: it learns from true evaluations and reports its errors."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -88,8 +88,9 @@ class Model:
             tiles=jnp.where(some, tiles, state.tiles),
         )
 
-    def notes(self, state: ModelState) -> dict[str, jax.Array]:
-        """Return what a run logs; NaN before the first fit."""
+    def notes(self, search: Any) -> dict[str, jax.Array]:
+        """Return what a run logs of the model of a search's state; NaN before the first fit."""
+        state: ModelState = search.model
         heads = ["objective", "result", *(axis.name.replace(" ", "_") for axis in self._measures)]
         numbers = {f"loss_{stage}": value for stage, value in state.losses.items()}
         numbers |= {f"rmse_{head}": state.rmse[i] for i, head in enumerate(heads)}

@@ -10,7 +10,6 @@ Simulations are noisy, and the best of many was lucky. So every member of the po
 evaluated again in each iteration, and ranked by its mean less its standard error.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -27,7 +26,7 @@ from qdenv.search.base import (
     start_solution,
 )
 from qdenv.search.settings import RearrangeConfig
-from qdenv.types import Array, InputError, Score
+from qdenv.types import Array, Extras, InputError, Score
 
 _MOST_CHANGES = 4  # of one child; half of the children have one, a quarter two
 _PROVEN = 3  # evaluations of a member after which it enters the archive, with their mean
@@ -86,9 +85,7 @@ def rearrange(config: RearrangeConfig, problem: Problem, x0: Array | None = None
         drawn = drawn.reshape(children, -1).astype(start.dtype)
         return jnp.concatenate([own.tiles, drawn]), state._replace(key=key)
 
-    def tell(
-        state: SearchState, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> SearchState:
+    def tell(state: SearchState, solutions: Array, score: Score, extras: Extras) -> SearchState:
         held = inside(extras["repaired"])
         held, score = check_batch(held, score)
         low = jnp.array([[axis.low for axis in problem.measures]])

@@ -4,7 +4,6 @@ Known as preselection in evolution strategies, Jin 2011, "Surrogate-assisted evo
 computation: recent advances and future challenges", https://doi.org/10.1016/j.swevo.2011.05.001.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
@@ -14,7 +13,7 @@ from qdenv.search.base import Algorithm, Problem, SearchState, check_batch, plai
 from qdenv.search.cma_mae import cma_mae
 from qdenv.search.model import Model, ModelState
 from qdenv.search.settings import ScreenedConfig
-from qdenv.types import Array, Score
+from qdenv.types import Array, Extras, Score
 
 
 class ScreenedState(NamedTuple):
@@ -75,9 +74,7 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
         known = known._replace(fitted=fitted, losses=losses)
         return chosen, state._replace(key=key, inner=inner_state, model=known)
 
-    def tell(
-        state: ScreenedState, solutions: Array, score: Score, extras: Mapping[str, Array]
-    ) -> ScreenedState:
+    def tell(state: ScreenedState, solutions: Array, score: Score, extras: Extras) -> ScreenedState:
         return state._replace(
             inner=inner.tell(state.inner, solutions, score, extras),
             iteration=state.iteration + 1,
@@ -85,10 +82,5 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
         )
 
     return Algorithm(
-        init,
-        ask,
-        tell,
-        lambda state: inner.archive(state.inner),
-        inner.batch_size,
-        lambda state: model.notes(state.model),
+        init, ask, tell, lambda state: inner.archive(state.inner), inner.batch_size, model.notes
     )

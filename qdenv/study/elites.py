@@ -179,10 +179,8 @@ def repair_grown(grown: Unrepaired, seed: int = 0, progress: Progress = silent) 
     if result.status >= RepairStatus.IMPOSSIBLE:
         rows, cols = domain.shape
         demanded = "".join(f" with {number} {name}" for name, number in domain.numbers.items())
-        raise InputError(
-            f"no repair of {rows} x {cols}{demanded}: "
-            f"{explain(rules, progress) or 'none was found, try another repair seed'}"
-        )
+        reason = explain(rules, progress) or "none was found, try another repair seed"
+        raise InputError(f"no repair of {rows} x {cols}{demanded}: {reason}")
     return result
 
 

@@ -70,10 +70,8 @@ def parse_counts(agents: int | str | Sequence[int] | None) -> tuple[int, ...]:
     if not counts or min(counts) < 1:
         raise InputError(f"agents {text!r}: give at least one number, all of them above zero")
     if len(counts) > _MOST_COUNTS:
-        raise InputError(
-            f"agents {text!r} are more than {_MOST_COUNTS} numbers: choose a larger step, as in "
-            "50:400:50"
-        )
+        cure = "choose a larger step, as in 50:400:50"
+        raise InputError(f"agents {text!r} are more than {_MOST_COUNTS} numbers: {cure}")
     if len(set(counts)) < len(counts):
         raise InputError(f"agents {text!r} names a number twice: name each once")
     return tuple(counts)
@@ -130,10 +128,8 @@ def _split(keep: Keep, domain: Domain, folder: Path) -> Iterator[str | Path]:
             elif part and (path.suffix.lower() in READ_ENDINGS or os.path.exists(path)):
                 yield path
             else:
-                raise InputError(
-                    f"keep {part!r}: give tiles like w#, rows and columns like 0:7,33:40, or the "
-                    "file of a drawing; + joins several"
-                )
+                forms = "tiles like w#, rows and columns like 0:7,33:40, or the file of a drawing"
+                raise InputError(f"keep {part!r}: give {forms}; + joins several")
 
 
 def _read_cells(rows: Sequence[str], domain: Domain, symbols: np.ndarray | None) -> np.ndarray:

@@ -93,10 +93,8 @@ def read_plan(path: str | Path, domain: str | None = None, drawing: Drawing | No
     if stated and domain and stated != domain and stated in DOMAINS.names():
         raise InputError(f"{path}: the file says {stated}: leave --domain out, or change the file")
     if stated and not domain and stated not in DOMAINS.names():
-        raise InputError(
-            f"{path}: the file says domain {stated!r}, which is unknown: "
-            f"--domain chooses one of {', '.join(DOMAINS.names())}"
-        )
+        cure = f"--domain chooses one of {', '.join(DOMAINS.names())}"
+        raise InputError(f"{path}: the file says domain {stated!r}, which is unknown: {cure}")
     name = domain or stated
     found = find_domain(name) if name else _guess_domain(set("".join(rows)))
     layout = to_layout(rows, path, found.tiles, found.meanings, found.name)
@@ -291,10 +289,8 @@ def _read_costs(path: str, plan: Plan) -> np.ndarray:
             raise InputError(f"{path}: costs of moves on {sizes}")
         if (theirs != free).any():
             row, column = np.argwhere(theirs != free)[0]
-            raise InputError(
-                f"{path}: costs of moves on another floor than {plan.name}: "
-                f"row {row}, column {column} is free on one of them alone"
-            )
+            where = f"row {row}, column {column} is free on one of them alone"
+            raise InputError(f"{path}: costs of moves on another floor than {plan.name}: {where}")
     with about(path):
         return costs_of(weights, free)
 

@@ -43,15 +43,10 @@ def read_elites(run: RunDirectory) -> Evaluated:
     """
     archive, domain = run.archive, make_domain(run.config.evaluation.domain)
     if len(archive) < FEWEST:
-        cure = (
-            "choose a run of your own"
-            if run.shipped
-            else f"continue the run with `qdenv resume {run} --evaluations N`"
-        )
-        raise InputError(
-            f"{run}: a surrogate needs at least {FEWEST} elites, this archive has {len(archive)}: "
-            + cure
-        )
+        cure = f"continue the run with `qdenv resume {run} --evaluations N`"
+        cure = "choose a run of your own" if run.shipped else cure
+        few = f"a surrogate needs at least {FEWEST} elites, this archive has {len(archive)}"
+        raise InputError(f"{run}: {few}: {cure}")
     columns = archive.columns
     objective, _, units = domain.objective_name.partition(" [")
     return Evaluated(

@@ -37,14 +37,9 @@ class Ring(NamedTuple):
     @classmethod
     def empty(cls, size: int, shape: tuple[int, int], heads: int) -> Self:
         """Make a ring for `size` samples of layouts of `shape`."""
-        maps = (size, *shape)
-        blank = Samples(
-            jnp.zeros(maps, jnp.int8),
-            jnp.zeros(maps, jnp.int8),
-            jnp.zeros(maps, jnp.float16),
-            jnp.zeros((size, heads), jnp.float32),
-        )
-        return cls(blank, jnp.int32(0))
+        kinds = (jnp.int8, jnp.int8, jnp.float16)
+        maps = [jnp.zeros((size, *shape), kind) for kind in kinds]
+        return cls(Samples._make([*maps, jnp.zeros((size, heads), jnp.float32)]), jnp.int32(0))
 
     @property
     def known(self) -> jax.Array:

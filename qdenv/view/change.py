@@ -90,11 +90,8 @@ def draw_racks_moved(found: Mapping[str, tuple[Array, Array]], agents: int, plan
     axes.axhline(plan, color=style.GREY, ls="--", lw=1)
     look: Any = {"textcoords": "offset points", "va": "top", "color": style.GREY}
     axes.annotate("the plan", (0, plan), (2, -3), **look)
-    axes.set(
-        xlabel="shelves moved",
-        ylabel="tasks per timestep",
-        title=f"what moving racks brings, {agents} robots in the searches' short runs",
-    )
+    title = f"what moving racks brings, {agents} robots in the searches' short runs"
+    axes.set(xlabel="shelves moved", ylabel="tasks per timestep", title=title)
     axes.grid()
     style.add_legend(figure, axes)
     return figure

@@ -43,16 +43,12 @@ _NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 
 @styled
-def draw_layout(
-    layout: Array, tiles: str, ax: Axes | None = None, names: Mapping[str, str] = _NO_NAMES
-) -> Axes:
-    """Draw a layout (int8 [H, W]) with a legend that counts its tiles.
+def draw_layout(layout: Array, tiles: str, ax: Axes, names: Mapping[str, str] = _NO_NAMES) -> Axes:
+    """Draw a layout (int8 [H, W]) on `ax`, which is returned, with a legend that counts its tiles.
 
-    `tiles` is the alphabet, `names` what the legend calls its symbols. The axes are `ax`, or those
-    of a new figure, which is registered nowhere and vanishes with them.
+    `tiles` is the alphabet, `names` what the legend calls its symbols.
     """
     layout = np.asarray(layout)
-    ax = _new_axes(layout.shape) if ax is None else ax
     colours = [COLOURS.get(tile, UNKNOWN) for tile in tiles]
     # Half a kind at each end: kind k is the middle of its colour.
     ax.imshow(
@@ -111,11 +107,16 @@ def draw_plan(
     The longer side takes `side` inches, as many as its cells need unless given. The figure is to be
     cropped when it is saved.
     """
-    axes = draw_layout(layout, tiles, _new_axes(np.shape(layout), side), names)
+    shape, gap = np.shape(layout), 0.45
+    side = side or side_of(shape)
+    rows, cols = (cells * side / max(shape) for cells in shape)
+    figure = new_figure(cols + gap, rows + 0.9, arrange=False, dpi=SCREEN_DPI)
+    width, height = figure.get_size_inches()
+    axes = figure.add_axes((gap / width, gap / height, cols / width, rows / height))
+    draw_layout(layout, tiles, axes, names)
     if numbered:
         number_cells(axes)
-    assert isinstance(axes.figure, Figure)
-    return axes.figure
+    return figure
 
 
 def number_cells(ax: Axes) -> None:
@@ -130,15 +131,6 @@ def number_cells(ax: Axes) -> None:
 def side_of(shape: tuple[int, ...], panels: int = 1) -> float:
     """Return the inches of the longer side of a layout that is drawn among `panels`."""
     return float(np.clip(_CELL * max(shape), _SMALLEST, _LARGEST / np.sqrt(panels)))
-
-
-def _new_axes(shape: tuple[int, ...], side: float | None = None) -> Axes:
-    """Make axes of square cells in a figure of their own; `side` is its longer side in inches."""
-    rows, cols = (cells * (side or side_of(shape)) / max(shape) for cells in shape)
-    gap = 0.45
-    figure = new_figure(cols + gap, rows + 0.9, arrange=False, dpi=SCREEN_DPI)
-    width, height = figure.get_size_inches()
-    return figure.add_axes((gap / width, gap / height, cols / width, rows / height))
 
 
 def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:

@@ -9,16 +9,7 @@ from qdenv.grid import inside_frame
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.distances import Fields
 from qdenv.simulation.mapf.metrics import Orders
-from qdenv.simulation.mapf.planner import (
-    KNOWN,
-    NEAR,
-    NOBODY,
-    World,
-    distance_type,
-    draw_goals,
-    pad,
-    serve,
-)
+from qdenv.simulation.mapf.planner import KNOWN, NEAR, World, draw_goals, pad, serve
 
 
 class FleetState(NamedTuple):
@@ -59,14 +50,7 @@ def place(world: World, window: int, active: jax.Array, seed: jax.Array) -> Flee
         kind, goal = zero + cycle, [_slot_at(world, position)] * 2
         orders = Orders(jnp.int32(0), jnp.int32(0), jnp.float32(0))
     still = jnp.broadcast_to(position, (window + 1, agents))
-    fields, size = None, world.traversable.size
-    if world.distance is None:
-        number, far = distance_type(size, world.costs is not None)
-        fields = Fields(
-            jnp.full((2 * agents, size), far, number),
-            jnp.full((2, agents), NOBODY, jnp.int32),
-            jnp.zeros((agents,), bool),
-        )
+    fields = Fields.empty(world, agents) if world.distance is None else None
     return FleetState(position, kind, jnp.stack(goal), zero, zero, zero, still, fields, orders)
 
 

@@ -4,13 +4,13 @@ Small layouts get a table of all goals; for large ones every agent has two rows,
 again when it gets a new goal. `host.distances` measures them on the host.
 """
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 import jax
 import jax.numpy as jnp
 
 from qdenv.grid import MOVES, fixed_point, move_steps, shift
-from qdenv.simulation.mapf.planner import UNREACHABLE_COST, World, distance_type
+from qdenv.simulation.mapf.planner import NOBODY, UNREACHABLE_COST, World, distance_type
 
 _Planes: TypeAlias = tuple[jax.Array, ...]
 # A search between two epochs: uint32 [G / 32, H, W], one bit for each goal that reaches a cell;
@@ -100,6 +100,15 @@ class Fields(NamedTuple):
     # bool [A], whether the current goal is in the second of an agent's rows: what was the next goal
     # becomes the current one without a copy
     flipped: jax.Array
+
+    @classmethod
+    def empty(cls, world: World, agents: int) -> Self:
+        """Make rows for A agents, none of them measured."""
+        size = world.traversable.size
+        number, far = distance_type(size, world.costs is not None)
+        distance = jnp.full((2 * agents, size), far, number)
+        goal = jnp.full((2, agents), NOBODY, jnp.int32)
+        return cls(distance, goal, jnp.zeros((agents,), bool))
 
 
 def rows_of(fields: Fields) -> jax.Array:

@@ -134,14 +134,10 @@ class Environment:
         return World(self._traversable[layout], goals, distance, jnp.bool_(True), margin=0)
 
     def reset(self, key: jax.Array, layout: Array | int = 0) -> tuple[EnvironmentState, Timestep]:
-        """Begin a run; traceable.
+        """Begin a run on one of the layouts (`layout`, int32 []); traceable.
 
-        Args:
-            key: [], consumed: it decides starts and goals.
-            layout: int32 [], which of the layouts.
-
-        Returns:
-            the state, and its observation in a `Timestep` without rewards.
+        Consumes `key`, which decides starts and goals. Returns the state, and its observation in a
+        `Timestep` without rewards.
         """
         state = self._begin(chance.seed_of(key), jnp.asarray(layout, jnp.int32))
         nothing, last = jnp.zeros((self.agents,), jnp.float32), state.time >= self.timesteps
@@ -153,14 +149,9 @@ class Environment:
         return EnvironmentState(fleet, world.goals.cells[fleet.goal], jnp.int32(0), seed, layout)
 
     def step(self, state: EnvironmentState, actions: Array) -> tuple[EnvironmentState, Timestep]:
-        """Drive all robots by one step; traceable.
+        """Drive all robots by one step from `state` as `actions` (int32 [A]) say; traceable.
 
-        Args:
-            state: from `reset` or the step before.
-            actions: int32 [A].
-
-        Returns:
-            the next state, and observation, rewards and refusals.
+        Returns the next state, and observation, rewards and refusals.
         """
         fleet, seed, world = state.fleet, state.seed, self._world(state.layout)
         ahead = self.targets(fleet.position, jnp.asarray(actions), state.layout)
@@ -182,15 +173,9 @@ class Environment:
     def targets(
         self, position: jax.Array, actions: jax.Array, layout: Array | int = 0
     ) -> jax.Array:
-        """Find the cells that actions lead to where no agent is in the way.
+        """Find the cells that actions lead to where no agent is in the way (int32 [A]).
 
-        Args:
-            position: int32 [A], cells.
-            actions: int32 [A].
-            layout: int32 [], which of the layouts.
-
-        Returns:
-            cells, int32 [A].
+        `position` (cells) and `actions` are int32 [A], `layout` (int32 []) is one of the layouts.
         """
         rows, cols = self.free.shape[-2:]
         steps = jnp.array([*MOVES, (0, 0)], jnp.int32)

@@ -6,17 +6,50 @@ A planner is chosen by its name, an effort or its settings, and described in rep
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
+from annotated_types import Interval
+
+from qdenv.devices import Backend
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.registry import Entry, Registry
 from qdenv.simulation.mapf.negotiated.settings import EFFORTS, LOW, NegotiatedConfig
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.types import InputError, look_up
 
 _MOST_TIMESTEPS = 10_000_000
 MOST_STEPS = 2**31 - 1  # agent-steps, which are counted in 32 bits
+
+
+@dataclass(frozen=True)
+class PbsConfig(Ranged):
+    """Priority-based search, window by window.
+
+    Ma et al. 2019, https://arxiv.org/abs/1812.06356; windows of Li et al. 2021,
+    https://arxiv.org/abs/2005.07371.
+    """
+
+    # what an agent does that finds no path past those with precedence over it. "published": it
+    # stays even if others reserved its cell, and agents that wait at their start take precedence
+    # there; so plans never fail, and crowds freeze. "plain": the search tries another order.
+    rule: Literal["published", "plain"] = "published"
+    # most nodes of the search tree that are expanded per window, in units of the number of agents;
+    # a window that is still unsolved is driven by PIBT where its best plan has conflicts
+    nodes_per_agent: Annotated[float, Interval(ge=0, le=1_000_000)] = 5.0
+
+
+@dataclass(frozen=True)
+class PibtConfig(Ranged):
+    """Priority inheritance with backtracking, one timestep at a time.
+
+    Okumura et al. 2022, https://arxiv.org/abs/1901.11282.
+    """
+
+    # where to run: compiled host code (also "auto") or XLA; the results are the same
+    backend: Backend = "auto"
+    # whether agents change places where two have no room to pass (Okumura 2023): for floors with
+    # dead ends and narrow passages; always computed on the host
+    swap: bool = False
+
 
 # An entry's maker is called as make(settings) and returns a `Planner`.
 PLANNERS = Registry(

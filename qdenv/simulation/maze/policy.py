@@ -20,7 +20,6 @@ from qdenv.types import Array, InputError
 VIEW, WINDOW, CHANNELS, FILTERS, COMPASS, HEAD = 5, 3, 3, 16, 5, 32
 PATCHES = VIEW - WINDOW + 1
 _FEATURES = FILTERS * PATCHES * PATCHES + COMPASS
-_NUMBERS = Column()
 SHIPPED_AGENT = Path(str(resources.files("qdenv.simulation.maze") / "agent.npz"))
 
 
@@ -164,7 +163,7 @@ def load_weights(path: str | Path = "") -> Weights:
     path = Path(path or SHIPPED_AGENT)
     if not path.exists():
         raise InputError(f"there is no agent {path}: train or convert one first")
-    arrays = read_arrays(path, dict.fromkeys(Weights._fields, _NUMBERS), others=None)
+    arrays = read_arrays(path, dict.fromkeys(Weights._fields, Column()), others=None)
     return check_weights(Weights(**arrays), str(path))
 
 

@@ -46,7 +46,7 @@ function showCard(card, place, row) {
 function drawCard(card, layouts, paled) {
   const canvas = card.querySelector("canvas");
   if (layouts) drawLayout(canvas, layouts.repaired, [], paled);
-  else clearCanvas(canvas);
+  else canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
 }
 
 /** The content of a layout file, as qdenv writes it. */

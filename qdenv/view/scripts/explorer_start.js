@@ -21,11 +21,6 @@ function offerNames() {
   });
 }
 
-/** Wait until what was drawn can be seen. */
-function painted() {
-  return new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
-}
-
 /** Show a sketch of the map and the best elite at once, then what takes longer. */
 async function start() {
   await loadNumbers();
@@ -42,7 +37,7 @@ async function start() {
   listenToCards();
   listenToGrowth();
   await showCards();
-  await painted();
+  await new Promise((done) => requestAnimationFrame(() => setTimeout(done))); // it can be seen
   performance.mark("sketched");
   await loadPlotly();
   await drawMap();

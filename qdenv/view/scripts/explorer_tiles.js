@@ -6,9 +6,7 @@ const PALE = "#ffffffb0"; // over cells that are alike
 
 /** List the cells in which two layouts differ. */
 function differing(one, other) {
-  const cells = [];
-  for (let cell = 0; cell < one.length; cell++) if (one[cell] !== other[cell]) cells.push(cell);
-  return cells;
+  return [...one.keys()].filter((cell) => one[cell] !== other[cell]);
 }
 
 /** List the cells in which they do not. */
@@ -58,11 +56,6 @@ function frameCells(pen, side, cells) {
     const col = cell % facts.cols;
     pen.strokeRect(col * side + width / 2, row * side + width / 2, side - width, side - width);
   }
-}
-
-/** Empty a canvas. */
-function clearCanvas(canvas) {
-  canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
 }
 
 /** Say what the tiles' colours mean. */

@@ -4,16 +4,20 @@ const COLOURS = facts.marks;
 const HALO = 1.35; // cells from the middle of a jammed robot to where its halo ends
 const TURN = Math.PI / 2;
 
+/** Fill the path that was drawn, and draw its rim. */
+function paint(context, fill, rim, width) {
+  context.fillStyle = fill;
+  context.fill();
+  context.strokeStyle = rim;
+  context.lineWidth = width;
+  context.stroke();
+}
+
 /** Fill a disc with a rim. */
 function disc(context, x, y, radius, fill, rim, width) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
-  context.fillStyle = fill;
-  context.fill();
-  if (!rim) return;
-  context.strokeStyle = rim;
-  context.lineWidth = width;
-  context.stroke();
+  paint(context, fill, rim, width);
 }
 
 /** Draw a diamond, the mark of a goal. */
@@ -23,11 +27,7 @@ function diamond(context, x, y, radius, width) {
     context.lineTo(x + radius * Math.cos(corner * TURN), y + radius * Math.sin(corner * TURN));
   }
   context.closePath();
-  context.fillStyle = "#ffffffb0";
-  context.fill();
-  context.strokeStyle = COLOURS.goal;
-  context.lineWidth = width;
-  context.stroke();
+  paint(context, "#ffffffb0", COLOURS.goal, width);
 }
 
 /** Draw a triangle that points to a heading (0 right, 1 down, 2 left, 3 up). */
@@ -40,11 +40,7 @@ function arrow(context, x, y, size, heading) {
     context.lineTo(right * size, down * size);
   }
   context.closePath();
-  context.fillStyle = COLOURS.agent;
-  context.fill();
-  context.strokeStyle = COLOURS.ink;
-  context.lineWidth = Math.max(1, size / 14);
-  context.stroke();
+  paint(context, COLOURS.agent, COLOURS.ink, Math.max(1, size / 14));
   context.restore();
 }
 

@@ -6,11 +6,6 @@ function say(id, text) {
   if (element && element.textContent !== text) element.textContent = text;
 }
 
-/** Write a share as a whole per cent. */
-function percent(share) {
-  return `${Math.round(100 * share)}%`;
-}
-
 /** Say where a cell is, as tables of the commands do. */
 function cellWords(film, cell) {
   return `row ${Math.floor(cell / film.cols)}, column ${cell % film.cols}`;
@@ -26,7 +21,7 @@ function showCounts(film, now) {
   say("count-step", `${time}`);
   say("count-tasks", film.finishedBy[time].toLocaleString("en"));
   say("count-throughput", time ? (film.finishedBy[time] / time).toFixed(3) : "-");
-  say("count-waiting", `${waiting} (${percent(waiting / film.agents)})`);
+  say("count-waiting", `${waiting} (${Math.round(100 * (waiting / film.agents))}%)`);
 }
 
 /** Write the numbers of a walk through a maze. */

@@ -63,12 +63,11 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         rest = jnp.broadcast_to(paths[-1], (window - ahead, agents))
         return jnp.concatenate([paths, rest])
 
-    on_host = run_windows if runs_on_host(config.backend) else None
     return Planner(
         plan,
         max_window=MAX_WINDOW,
         margin=MARGIN,
-        run_windows=on_host,
+        run_windows=run_windows if runs_on_host(config.backend) else None,
         make_plan=partial(make_plan, config),
         fallback_waits=waits,
         reads_costs=True,

@@ -22,10 +22,11 @@ from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.run import DONE, FIELDS_FULL, PLAN_FULL, Fallback, compile_windows
 from qdenv.simulation.mapf.host.state import GridMap, HostRun, service_time
 from qdenv.simulation.mapf.pbs import conflicts, workspace
-from qdenv.simulation.mapf.pbs.settings import MAX_WINDOW, PbsConfig
 from qdenv.simulation.mapf.pbs.workspace import FIRST_DEPTH, Goals, Workspace, make_workspace
 from qdenv.simulation.mapf.planner import KNOWN, NOBODY, Planner
+from qdenv.simulation.mapf.settings import PbsConfig
 
+_MAX_WINDOW = 30  # the timesteps of conflicts are the bits of one word
 _PREFERRED = 1 << 60  # taken off a conflict that comes first
 
 
@@ -33,7 +34,7 @@ def pbs(settings: PbsConfig) -> Planner:
     """Make the planner, which exists in compiled host code only."""
     return Planner(
         plan=None,
-        max_window=MAX_WINDOW,
+        max_window=_MAX_WINDOW,
         run_windows=_run_windows,
         make_plan=lambda run, size: make_workspace(run, settings, FIRST_DEPTH * size),
         reads_costs=True,

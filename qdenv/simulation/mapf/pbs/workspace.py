@@ -10,8 +10,8 @@ import numpy as np
 from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.native import Numbers, numbers
 from qdenv.simulation.mapf.host.state import HostRun
-from qdenv.simulation.mapf.pbs.settings import PbsConfig
 from qdenv.simulation.mapf.planner import KNOWN, NOBODY
+from qdenv.simulation.mapf.settings import PbsConfig
 
 SERVED = KNOWN  # the leg of an agent that has served both known goals; legs 0 and 1 lead to one
 HOLDING = SERVED + 1  # added to the leg while an agent stays at its start against all reservations

@@ -29,8 +29,8 @@ from qdenv.simulation.mapf.pibt.numba import (
     preference,
     urgency,
 )
-from qdenv.simulation.mapf.pibt.settings import PibtConfig
 from qdenv.simulation.mapf.planner import NOBODY, AgentState, Planner, World, serve
+from qdenv.simulation.mapf.settings import PibtConfig
 
 # The agents within a rollout, each int32 [A]: cells; 0 on the way to the current goal, 1 later;
 # timesteps left to serve; timesteps since the last finished task.
