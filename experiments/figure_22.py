@@ -56,7 +56,7 @@ def draw(folders: Folders) -> Drawn:
         draw_line(axes, [row.agents for row in found], means, halves, maker)
         best = max(found, key=lambda row: row.mean_of_all)
         runs = f"{sum(row.runs for row in found)} of {sum(one.seeds for one in saved)}"
-        moved = (f"{best.mean_of_all:.2f}", best.agents, f"{best.successes / best.runs:.0%}")
+        moved = (f"{best.mean_of_all:.2f}", best.agents, f"{best.successes}/{best.runs}")
         rows.append((*named, runs, *moved))
     for line, (shape, name) in zip(panels, SIZES.items(), strict=True):
         line[0].set_ylabel(f"{name}: tasks / timestep")

@@ -61,7 +61,7 @@ class Moved(NamedTuple):
 
 
 # Tables 2 and 5 and section E.4 by domain, maker (see `layouts.SavedLayout`) and agents; alpha 0
-# and 1 with 1,000 agents are of the authors' repository (its README, "Results").
+# and 1 with 1,000 and 1,400 agents are of the authors' repository (its README, "Results").
 TRAFFIC = {
     ("warehouse-even", "a0", 200): Moved(6.79),
     ("warehouse-even", "a1", 200): Moved(6.73),
@@ -80,6 +80,8 @@ TRAFFIC = {
     ("manufacturing", "dsage", 200): Moved(5.61),
     ("manufacturing", "human", 200): Moved(5.92),
     ("warehouse-even", "nca", 1400): Moved(16.01, 0.90),
+    ("warehouse-even", "a0", 1400): Moved(words="N/A"),
+    ("warehouse-even", "a1", 1400): Moved(words="N/A"),
     ("warehouse-even", "cma-es", 1400): Moved(words="N/A"),
     ("warehouse-even", "tiled", 1400): Moved(success=0.0),
     ("warehouse-uneven", "nca", 1000): Moved(12.03, 0.84),

@@ -260,9 +260,9 @@ def test_the_page_says_what_table_5_shows():
     ):
         assert text.format(*(more(theirs, one) for one in own[key])) in PAGE
     for key, theirs, text in (
-        ((uneven, "zoo", large), paper[uneven, "nca", 1000], "planner it moves **{} % less**. Of"),
-        ((uneven, "nca", large), paper[uneven, "nca", 1000], "the first moves **{} % less** than"),
-        ((even, "nca", small), paper[even, "nca", 200], "the second **{} and {} % less** at 33"),
+        ((uneven, "zoo", large), paper[uneven, "nca", 1000], "and it moves **{} and {} % less** ("),
+        ((uneven, "nca", large), paper[uneven, "nca", 1000], "first moves **{} and {} % less** th"),
+        ((even, "nca", small), paper[even, "nca", 200], "the second **{} and {} % less** (und"),
     ):
         assert text.format(*(f"{100 * (1 - one / theirs):.1f}" for one in own[key])) in PAGE
     good = {key[:2]: pair[1][0] for key, pair in moved.items() if key[2] == large}
@@ -305,20 +305,24 @@ def test_the_page_says_what_table_5_shows():
     makers = "CMA-ES + NCA", "CMA-MAE + NCA", "CMA-MAE + NCA, first zoo"
     cells = (most[uneven, small, makers[0]], most[uneven, small, makers[1]])
     cells += (most[factory, small, makers[0]], most[factory, small, makers[2]])
-    text = "than CMA-MAE's**, {} against {} (in `manufacturing` less, {} against {})."
-    assert text.format(*(row[4] for row in cells)) in PAGE
+    cells += (most[uneven, small, makers[2]],)
+    moves, runs = zip(*((row[4], row[6].split("/")[1]) for row in cells), strict=True)
+    text = "than CMA-MAE's**, {0} against {1} ({6} of 50 runs made; the first zoo's best moves {4})"
+    text += ", in `manufacturing` less, {2} ({7} of 50) against {3}."
+    assert text.format(*moves, *runs) in PAGE
+    assert runs[0] == runs[3] == runs[4] == "50"
     assert {row[5] for row in cells} == {"250"} and "**With 250 robots at 33" in PAGE
 
 
 def test_the_pages_state_what_the_repair_draws_and_where_tiles_jam():
     kept = []
-    for maker, size in product(("cma-es", "zoo"), ("33x36", "101x102")):
+    for maker, size in product(("cma-es", "nca"), ("33x36", "101x102")):
         text = (RESULTS / "layouts" / f"manufacturing-{maker}-{size}.json").read_text()
         drawn, built = ("".join(json.loads(text)[name]) for name in ("unrepaired", "layout"))
         alike = [one == other for one, other in zip(drawn, built, strict=True) if other in "012"]
         kept += [sum(alike), len(alike)]
     text = "of the {1} and {3} of CMA-ES's factories {0} and {2} are as the automaton drew them, "
-    text += "of the {5} and {7} of the zoo's {4} and {6}."
+    text += "of the {5} and {7} of CMA-MAE's {4} and {6}."
     assert text.format(*kept) in PAGE
     rows_of = {(row["layout"], row["agents"]): row for row in rows("congestion.csv")}
     paper = rows_of["warehouse_even_nca_a5_eval", "1400"]

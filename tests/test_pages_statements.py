@@ -184,7 +184,8 @@ def test_the_page_states_the_searches_behind_both_zoos():
         assert f"and by {made.origin.further:,} around other elites" in PAGE
     for domain in FLEETS[:2]:
         origin = json.loads((RESULTS / "zoo" / f"{domain}.json").read_text())["origin"]
-        stated = "'s from {evaluations:,}( evaluations)? of seed {seed} and {further:,} more"
+        stated = "'s from {evaluations:,}( evaluations)? of seed {seed}"
+        stated += "( [(][^)]+[)])? and {further:,} more"
         assert re.search(f"`{domain}`{stated.format(**origin)}", PAGE)
 
 
