@@ -132,10 +132,8 @@ def _count(table: list[tuple[int, list[str]]], file: str) -> dict[tuple[int, int
         if by_name:
             place = cells[columns[0]]
             if place not in places:
-                raise InputError(
-                    f"line {line}: place {place!r} is unknown: name a second file with place, row "
-                    "and column, as orders.csv,places.csv"
-                )
+                cure = "name a second file with place, row and column, as orders.csv,places.csv"
+                raise InputError(f"line {line}: place {place!r} is unknown: {cure}")
             cell = places[place]
         else:
             cell = _cell(cells, columns, line)
@@ -178,10 +176,8 @@ def _spread(counts: Mapping[tuple[int, int], float], endpoints: np.ndarray) -> n
         beside = [(row + down, column + right) for down, right in MOVES]
         near = {(row, column)} & found or {*beside} & found
         if not (0 <= row < rows and 0 <= column < cols and near):
-            raise InputError(
-                f"row {row}, column {column} is no cell of the plan that is an endpoint or beside "
-                "one: both are counted from 0"
-            )
+            what = "an endpoint or beside one: both are counted from 0"
+            raise InputError(f"row {row}, column {column} is no cell of the plan that is {what}")
         for cell in near:
             odds[cell] += count / len(near)
     away = ndimage.distance_transform_edt(~endpoints, return_distances=False, return_indices=True)

@@ -257,10 +257,8 @@ def write_layout(
         used = "".join(rows)
         lost = "".join(symbol for symbol in tiles if symbol not in table and symbol in used)
         if lost:
-            raise InputError(
-                f"{path}: a .map tells open ground from obstacles only, this layout also has "
-                f"{alphabet(lost, meanings)}: write a .json, .txt or .csv"
-            )
+            also = f"this layout also has {alphabet(lost, meanings)}: write a .json, .txt or .csv"
+            raise InputError(f"{path}: a .map tells open ground from obstacles only, {also}")
     weights = None if costs is None else weights_of(costs)
     if costs is not None:  # these say where robots drive, whatever the tiles mean
         blocked = {tiles[kind] for kind in np.unique(np.asarray(layout)[np.isinf(costs[0])])}

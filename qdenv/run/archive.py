@@ -267,10 +267,8 @@ class SavedArchive:
         try:
             self.to_pandas(solutions).to_parquet(content, index=False)
         except ImportError as error:
-            raise InputError(
-                f'{path}: Parquet needs pandas and pyarrow: pip install "qdenv[data]", or write a '
-                ".csv"
-            ) from error
+            cure = 'pip install "qdenv[data]", or write a .csv'
+            raise InputError(f"{path}: Parquet needs pandas and pyarrow: {cure}") from error
         write_atomically(path, content.getvalue())
 
     def write_layouts(self, folder: Path, domain: str) -> None:

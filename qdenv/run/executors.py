@@ -322,8 +322,6 @@ class ClusterExecutor(Executor):
         if wrong:
             self._client.retire_workers(list(wrong))
         if wrong and len(wrong) == len(answers):
-            raise InputError(
-                "every worker has other versions than the search: install the same qdenv and "
-                f"packages there ({versions()})"
-            )
+            cure = f"install the same qdenv and packages there ({versions()})"
+            raise InputError(f"every worker has other versions than the search: {cure}")
         return len(wrong)

@@ -57,10 +57,8 @@ def group_runs(runs: Sequence[RunDirectory]) -> list[Group]:
     objectives = {run.schema.objective: run for run in runs}
     if len(objectives) > 1:
         one, other, *_ = objectives.values()
-        raise InputError(
-            f"{one} and {other} have different objectives, {' and '.join(objectives)}: "
-            "no scale shows both, draw them one by one"
-        )
+        both = f"{one} and {other} have different objectives, {' and '.join(objectives)}"
+        raise InputError(f"{both}: no scale shows both, draw them one by one")
     kinds: dict[str, list[RunDirectory]] = {}
     for run in runs:
         every = _flatten(config_to_json(run.config))
