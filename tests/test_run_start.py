@@ -57,6 +57,13 @@ def test_the_best_is_the_start_where_no_cell_is_named(first):
     assert find_start(toy.CONFIG) is None
 
 
+def test_a_folder_whose_name_has_the_sign_before_a_cell_is_a_start(first, tmp_path):
+    shutil.copytree(first.path, tmp_path / "a@b" / "run")
+    for end in ("", "@best"):
+        config = replace(toy.CONFIG, start=f"{tmp_path / 'a@b' / 'run'}{end}")
+        np.testing.assert_array_equal(find_start(config), first.best.solution)
+
+
 def test_a_start_that_no_setting_names_is_read_again(tmp_path):
     start = np.ones(3, np.float32)
     assert RunDirectory.create(tmp_path, toy.CONFIG, (), start).config.start == ""

@@ -326,7 +326,9 @@ def find_start(config: RunConfig) -> np.ndarray | None:
     """
     if not config.start:
         return None
-    source, _, cell = config.start.partition("@")
+    source, found, cell = config.start.rpartition("@")
+    if not found or "/" in cell:  # a folder's name may have that letter, too
+        source, cell = config.start, ""
     run = RunDirectory.open(source)
     elite = run.archive.elite(cell or "best")
     domain = make_domain(config.evaluation.domain)

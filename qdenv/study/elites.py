@@ -33,6 +33,8 @@ _OTHER_DRAWING = (
     "automaton never should: what is recorded of it does not hold for this plan"
 )
 _LOG = logging.getLogger(__name__)
+Grower = Callable[[np.ndarray], np.ndarray]
+CostsDrawer = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Unrepaired(NamedTuple):
@@ -260,9 +262,6 @@ def grow_frames(
     return steps, grow_series(run.config.evaluation, grown.domain, grown.elite.solution, steps)
 
 
-Grower = Callable[[np.ndarray], np.ndarray]
-
-
 def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
     """Make the function that grows solutions at the trained size and keeps every step.
 
@@ -283,9 +282,6 @@ def make_grower(config: EvaluationConfig, domain: Domain) -> tuple[int, Grower]:
         return jnp.asarray(jax.vmap(jax.vmap(domain.frame))(frames))
 
     return steps, lambda solutions: np.asarray(grow(jnp.asarray(solutions)))
-
-
-CostsDrawer = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def make_costs_drawer(config: EvaluationConfig, domain: Domain) -> CostsDrawer | None:
