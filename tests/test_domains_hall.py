@@ -160,13 +160,13 @@ def test_straight_aisles_and_both_sides_are_rules_of_a_hall(tmp_path, capsys):
     assert run(["check", path, *rules, "--rack", "1x2"]) == 1
     said = capsys.readouterr().out
     place = "4 cells, the first at row 1, column 3"
-    assert f"shelves in more than 1 rows without a straight aisle: {place}" in said
+    assert f"shelves in 2 or more rows without a straight aisle: {place}" in said
     assert "holds: every shelf in a rack of 1 x 2\n" in said
     assert "holds: every shelf in a rack with aisles on both sides\n" in said
     made = str(tmp_path / "made.txt")
     assert run(["repair", path, *rules, "--out", made]) == 0
     assert run(["check", made]) == 0  # what it was repaired by is beside it
-    assert "holds: a straight aisle after 1 rows and columns at most" in capsys.readouterr().out
+    assert "holds: a straight aisle among any 2 successive rows" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

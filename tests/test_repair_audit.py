@@ -187,7 +187,7 @@ def test_shelves_outside_of_racks_are_found():
 def test_straight_aisles_lie_between_so_many_rows_and_columns():
     rules = yard(7, 6, 0, None, adjacency=()).buildable(cross_aisle=2)
     drawing = ["@.....", "...@..", "......", "@@....", "....@.", "@.....", "......"]
-    rows = "'@' in more than 2 rows without a straight aisle: 4 cells, the first at row 3, column 0"
+    rows = "'@' in 3 or more rows without a straight aisle: 4 cells, the first at row 3, column 0"
     assert broken(drawing, rules) == [(rows, (3, 0))]
     turned = ["".join(one) for one in zip(*drawing, strict=True)]
     ((columns, _),) = broken(turned, yard(6, 7, 0, None, adjacency=()).buildable(cross_aisle=2))

@@ -85,9 +85,9 @@ def check_built(layout: np.ndarray, rules: Rules) -> Iterator[tuple[str, list[Vi
             labels, _ = ndimage.label(holds.any(axis))
             long = (labels > 0) & (np.bincount(labels)[labels] > most)
             many = rules.name(tiles, True)
-            message = f"{many} in more than {most} {lines} without a straight aisle"
+            message = f"{many} in {most + 1} or more {lines} without a straight aisle"
             wrong += _violations(message, holds & (long[:, None] if axis else long))
-        yield f"a straight aisle after {most} rows and columns at most", wrong
+        yield f"a straight aisle among any {most + 1} successive rows or columns", wrong
 
 
 def _between(holds: np.ndarray, ends: np.ndarray) -> np.ndarray:

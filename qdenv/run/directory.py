@@ -327,7 +327,7 @@ def find_start(config: RunConfig) -> np.ndarray | None:
     if not config.start:
         return None
     source, found, cell = config.start.rpartition("@")
-    if not found or "/" in cell:  # a folder's name may have that letter, too
+    if not found or "/" in cell:  # the sign may be part of a folder's name
         source, cell = config.start, ""
     run = RunDirectory.open(source)
     elite = run.archive.elite(cell or "best")
