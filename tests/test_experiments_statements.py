@@ -99,11 +99,17 @@ def test_scores_half_way_and_early():
         assert re.search(
             f"; {(entropy < 0.5).sum()} of {len(entropy):,}[^;]*; [a-z ]*{best:.3f}", PAGE
         )
-    scores = numbers("manufacturing", "qd_score", "metrics.csv")
-    above = numbers("manufacturing", "evaluations", "metrics.csv")[
-        scores > TABLE_4["manufacturing", "cma-mae"].qd_score
-    ]
-    assert f"above the published mean since {above.min():,.0f} evaluations" in PAGE
+    since, elites, whole = [], [], set()
+    for run in ("manufacturing", "manufacturing-seed1"):
+        above = (
+            numbers(run, "qd_score", "metrics.csv") > TABLE_4["manufacturing", "cma-mae"].qd_score
+        )
+        since.append(numbers(run, "evaluations", "metrics.csv")[above].min())
+        elites.append(len(numbers(run, "objective")))
+        whole.add(f"{numbers(run, 'objective').sum():,.0f}")
+    text = "are above the published mean since {:,.0f} and {:,.0f} evaluations. That both have {} "
+    text += "is chance: they have {:,} and {:,} elites."
+    assert text.format(*since, *whole, *elites) in PAGE
     others = [f"warehouse-even{end}" for end in ("", "-cma-es", "-map-elites", "-dsage")]
     scores = [score_after(run, 1000) for run in others]
     sentence = "of {:,.0f}, CMA-ES {:,.0f}, MAP-Elites (of the preset `warehouse-even-map-elites`, "
