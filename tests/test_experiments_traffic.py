@@ -248,7 +248,7 @@ def test_table_5_and_figure_22_follow_from_the_runs_that_are_saved(folders):
     assert "\n".join(lines).count("not made yet") == len(TABLE) - 3
     drawn = figure_22.draw(folders)
     (row,) = (cells(line) for line in drawn.lines if "4 of 350" in line)
-    assert row[3:] == ["4 of 350", "5.00", "200", "75%"]  # the mean of all four
+    assert row[3:] == ["4 of 350", "5.00", "200", "3/4"]  # the mean of all four
     (line,) = (one for axes in drawn.figure.axes for one in axes.lines if one.get_marker() == "o")
     assert list(line.get_xdata()) == [200] and line.get_ydata()[0] == 5.0
     said = [text.get_text() for axes in drawn.figure.axes for text in axes.texts]
