@@ -18,7 +18,7 @@ from qdax.core.containers.mapelites_repertoire import MapElitesRepertoire
 
 from qdenv.search.axes import check_measures, inner_edges
 from qdenv.search.settings import check_rates
-from qdenv.types import Array, InputError, Measure
+from qdenv.types import Array, Extras, InputError, Measure
 
 
 class Insertion(NamedTuple):
@@ -115,7 +115,7 @@ class GridArchive(MapElitesRepertoire):
         centroids: Array | None = None,
         *args: Any,
         measures: Sequence[Measure],
-        extra_scores: Mapping[str, Array] | None = None,
+        extra_scores: Extras | None = None,
         keys_extra_scores: tuple[str, ...] = (),
     ) -> Self:
         """Make an archive of a first batch, which may be empty, as qdax's `MAPElites` expects it.
@@ -160,7 +160,7 @@ class GridArchive(MapElitesRepertoire):
         solutions: Any,
         objective: Array,
         measures: Array,
-        extras: Mapping[str, Array] | None = None,
+        extras: Extras | None = None,
         success: Array | bool = True,
     ) -> tuple[Self, Insertion]:
         """Add a batch at once: every solution is judged against the archive before the batch.
@@ -224,7 +224,7 @@ class GridArchive(MapElitesRepertoire):
         batch_of_genotypes: Any,
         batch_of_descriptors: Array,
         batch_of_fitnesses: Array,
-        batch_of_extra_scores: Mapping[str, Array] | None = None,
+        batch_of_extra_scores: Extras | None = None,
     ) -> Self:
         """Add a batch as `insert` does, with the names of qdax.
 

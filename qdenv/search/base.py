@@ -247,7 +247,7 @@ def growing(algorithm: Algorithm) -> Algorithm:
 
     jitted_tell = jax.jit(algorithm.tell, donate_argnums=0)
 
-    def tell(state: Any, solutions: Array, score: Score, extras: Mapping[str, Array]) -> Any:
+    def tell(state: Any, solutions: Array, score: Score, extras: Extras) -> Any:
         sizes = []
         for store, most in zip(stores_in(state), full, strict=True):
             rows, needed = len(store.used), int(store.used.sum()) + len(solutions)

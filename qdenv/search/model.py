@@ -1,6 +1,5 @@
 """The surrogate of a search: it learns from true evaluations and reports its errors."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +8,7 @@ import jax.numpy as jnp
 from qdenv.search.base import Problem
 from qdenv.surrogates.settings import SurrogateConfig
 from qdenv.surrogates.surrogate import Fitted, Ring, Samples, Surrogate, errors
-from qdenv.types import Array, InputError, Score
+from qdenv.types import Extras, InputError, Score
 
 
 class ModelState(NamedTuple):
@@ -60,7 +59,7 @@ class Model:
         return self.surrogate.predict(fitted, drawn)[0]
 
     def observe(
-        self, state: ModelState, solutions: jax.Array, score: Score, extras: Mapping[str, Array]
+        self, state: ModelState, solutions: jax.Array, score: Score, extras: Extras
     ) -> ModelState:
         """Measure the errors on a batch, whose successes can be learnt from afterwards.
 

@@ -1,6 +1,6 @@
 """CMA-MAE as an emitter of qdax, https://github.com/adaptive-intelligent-robotics/QDax."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -11,7 +11,7 @@ from qdenv.search.archive import GridArchive
 from qdenv.search.base import check_batch, plain_key, start_solution
 from qdenv.search.cma_mae import make_emitters
 from qdenv.search.settings import CmaMaeConfig
-from qdenv.types import Array, Measure, Score
+from qdenv.types import Array, Extras, Measure, Score
 
 
 class CmaMaeEmitterState(EmitterState):
@@ -59,7 +59,7 @@ class CmaMaeEmitter(Emitter):
         genotypes: Array,
         fitnesses: Array,
         descriptors: Array,
-        extra_scores: Mapping[str, Array],
+        extra_scores: Extras,
     ) -> CmaMaeEmitterState:
         """Start all strategies at x0; the first population enters the learning archive."""
         key, emitters_key = jax.random.split(plain_key(key))

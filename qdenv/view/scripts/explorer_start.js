@@ -37,7 +37,7 @@ async function start() {
   listenToCards();
   listenToGrowth();
   await showCards();
-  await new Promise((done) => requestAnimationFrame(() => setTimeout(done))); // it can be seen
+  await new Promise((done) => requestAnimationFrame(() => setTimeout(done))); // the sketch can be seen
   performance.mark("sketched");
   await loadPlotly();
   await drawMap();
