@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from qdenv.io.files import MEGABYTE, damaged, read_text, write_atomically
+from qdenv.io.files import MEGABYTE, parsing, read_text, write_atomically
 from qdenv.io.records import structured
 from qdenv.ranges import PositiveFloat, PositiveInt, Ranged, read_range
 from qdenv.types import InputError, about
@@ -52,10 +52,8 @@ FACTS = tuple(one.name for one in fields(PlanFacts) if one.name != "settings")
 
 def parse_facts(text: str, source: Path) -> dict[str, Any]:
     """Parse TOML; raise DamagedError, which names the `source`, if it is none."""
-    try:
+    with parsing(source, "TOML"):
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise damaged(source, f"not TOML: {error}") from error
 
 
 def facts_beside(plan: Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from qdenv.grid import draw, parse
 from qdenv.io.facts import FENCE, facts_beside, make_facts, parse_facts
-from qdenv.io.files import damaged, read_text, write_atomically, write_json
+from qdenv.io.files import damaged, parsing, read_text, write_atomically, write_json
 from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, holds, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
@@ -167,10 +167,8 @@ def split_cells(path: Path, lines: Sequence[str]) -> list[list[str]]:
     # Before it is split: a line of delimiters would fill the memory with empty cells.
     widest = max((line.count(delimiter) for line in lines), default=0)
     check_size(1, 1 + widest, f"{path}: ")
-    try:
+    with parsing(path, "a CSV file"):
         return list(csv.reader(lines, delimiter=delimiter, strict=True))
-    except csv.Error as error:
-        raise damaged(path, f"not a CSV file: {error}") from error
 
 
 def join_cells(path: Path, table: Sequence[Sequence[str]]) -> list[str]:

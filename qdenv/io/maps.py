@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from qdenv.guidance import existing_moves
-from qdenv.io.files import damaged, read_text, write_atomically
+from qdenv.io.files import damaged, parsing, read_text, write_atomically
 from qdenv.io.formats import redraw
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, write_table
 from qdenv.io.layouts import Drawing, check_size, free_cells, read_lines
@@ -101,10 +101,8 @@ def read_scen(path: Path) -> Drawing:
     below = path.parent / names.pop()
     # Scenarios name maps by their place in the benchmarks; people have them beside the scenario.
     drawing = read_map(below if below.is_file() else path.with_name(below.name))
-    try:
+    with parsing(path, "a whole number"):
         points = np.array([[int(number) for number in line[2:8]] for line in fields])
-    except (ValueError, OverflowError) as error:
-        raise damaged(path, f"not a whole number: {error}") from error
     cols = len(drawing.rows[0]) if drawing.rows else 0
     if (points[:, [1, 0]] != (len(drawing.rows), cols)).any():
         raise damaged(path, f"the map is {len(drawing.rows)} x {cols}, not what a line says")
