@@ -145,7 +145,6 @@ def _replay_fleet(
     films.check_end(timesteps)
     fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     config = options.config(agents, timesteps)
-    studies.check_run(config.agents, config.timesteps, seed)
     with Bar("simulating") as bar:
         motion, traffic = studies.record_fleet(plan, config, seed, bar)
     about = about_fleet(plan, config, seed, motion, traffic)
@@ -170,7 +169,6 @@ def _replay_episode(
 ) -> tuple[Page, Motion, dict[str, Any]]:
     """Let the agent walk through a maze once and make its page."""
     films.check_end(timesteps)
-    studies.check_run(1, timesteps or 1, seed)
     with Bar("walking"):
         motion = studies.trace_agent(plan, seed, timesteps)
     success = bool(motion.finished.any())

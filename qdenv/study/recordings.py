@@ -172,7 +172,7 @@ class Motion(NamedTuple):
         return still & (after != self.goals[:-1]) & (self.goals[:-1] >= 0)
 
 
-def check_run(agents: int, timesteps: int, seed: int) -> None:
+def _check_run(agents: int, timesteps: int, seed: int) -> None:
     """Raise InputError if the seed is none, or if the run is too long for a replay."""
     check_range("seed", seed, Seed)
     if agents * timesteps > MOST_SHOWN:
@@ -189,7 +189,7 @@ def record_fleet(
 
     Raises InputError if the fleet cannot work on this layout, or the run is too long to be shown.
     """
-    check_run(config.agents, config.timesteps, seed)
+    _check_run(config.agents, config.timesteps, seed)
     tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, config.agents)
     # These import the simulator.
     from qdenv.simulation.mapf.audit import jammed_windows
@@ -227,7 +227,7 @@ def trace_agent(
     are those of the shipped agent unless given. Raises InputError if there is nothing to solve, or
     the seed is none.
     """
-    check_run(1, timesteps or 1, seed)
+    _check_run(1, timesteps or 1, seed)
     import jax  # here: refusals are faster without it
     import jax.numpy as jnp
 
