@@ -140,9 +140,8 @@ def evaluate_agent(
     if random_mazes and episodes.reference_batching:
         raise InputError("--reference-batching is for one maze: leave --random-mazes out")
     picture = place(gif, "episode.gif", (".gif",), [layout])
-    table = None
-    if random_mazes:  # the command line always names a table
-        table = place(out, f"{plan.name}_random.csv", (".csv",), [layout])
+    # The command line always names a table.
+    table = place(out if random_mazes else None, f"{plan.name}_random.csv", (".csv",), [layout])
     if table and table.beside("").path.is_file():
         raise InputError(f"{table.beside('').path}: that is a file, and random mazes need a folder")
     # These import jax: refusals are faster without it.

@@ -137,9 +137,8 @@ def train(
         evaluation = dataclasses.replace(config.evaluation, domain=kept.config)
         config = dataclasses.replace(config, evaluation=evaluation)
     name = preset if isinstance(preset, str) else "run"
-    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
     fresh = path is None
-    path = Path("runs") / f"{name}-{stamp}" if path is None else Path(path)
+    path = Path(f"runs/{name}-{datetime.now():%Y%m%d-%H%M%S}" if path is None else path)
     if path.as_posix().startswith(PREFIX):
         raise InputError(f"{path}: names that begin with {PREFIX} ship with qdenv: name a folder")
     # A place that cannot be written to is refused now, not after hours of search.
