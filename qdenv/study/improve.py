@@ -52,13 +52,6 @@ _SIMULATIONS = 1  # of a layout in an evaluation: what looks good is evaluated a
 # A rearranged layout breaks few rules: a fourteenth of the usual annealing mends it, in 12 ms on
 # 30 x 40 cells where 400 moves per cell take 30, and changes as little.
 _MENDING = RepairConfig(moves_per_cell=100)
-# Generators and algorithms of the searches of floors. The full covariance of twelve numbers is
-# affordable, and chance needs a population of some size.
-_SEARCHES: dict[str, tuple[Any, Any]] = {
-    "racks": (DirectConfig(), RearrangeConfig()),
-    "rows": (RacksConfig(), CmaEsConfig(batch=32, sigma0=1.0, strategy="full")),
-    "floor": (DirectConfig(), RearrangeConfig()),
-}
 _MOST_CELLS = 100  # of an archive
 # Seeds that choose among candidates, and those that judge the chosen. Searches draw theirs from
 # their own keys, and costs of moves are chosen with those from 1,000,000 on.
@@ -162,7 +155,11 @@ def search_config(
     most, cells = axis.high, _MOST_CELLS
     if section == "racks" and config.moves < axis.cells:
         most = cells = config.moves + 1
-    generator, algorithm = _SEARCHES[section]
+    generator: Any = DirectConfig()
+    algorithm: Any = RearrangeConfig()
+    if section == "rows":
+        # The full covariance of twelve numbers is affordable, chance needs a large population.
+        generator, algorithm = RacksConfig(), CmaEsConfig(batch=32, sigma0=1.0, strategy="full")
     return RunConfig(
         evaluation=EvaluationConfig(settings, generator, _SIMULATIONS, alpha=0.0, repair=_MENDING),
         algorithm=algorithm,
