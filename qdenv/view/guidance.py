@@ -44,6 +44,12 @@ def pack_arrows(preferred: np.ndarray) -> np.ndarray:
     return (16 * level[0] + level[1]).astype(np.uint8)
 
 
+def aspect_of(free: np.ndarray) -> float:
+    """Return the height of a map as a share of its width, within what a page can hold."""
+    rows, cols = free.shape
+    return float(np.clip(rows / cols, 0.4, 1.6))
+
+
 @styled
 def draw_guidance(free: np.ndarray, costs: np.ndarray, moves: np.ndarray, title: str) -> Figure:
     """Draw which ways are cheaper, and beside it which ways agents drove.
@@ -51,9 +57,8 @@ def draw_guidance(free: np.ndarray, costs: np.ndarray, moves: np.ndarray, title:
     `free` (bool [H, W]) are the cells that agents may drive on, `costs` ([5, H, W]) those of each
     move, `moves` ([5, H, W]) what `recordings.count_moves` counts.
     """
-    rows, cols = free.shape
-    side = float(np.clip(_CELL * cols, SCREEN / 2, SCREEN))  # inches of a panel
-    size = side, side * float(np.clip(rows / cols, 0.4, 1.6)) + 0.7
+    side = float(np.clip(_CELL * free.shape[1], SCREEN / 2, SCREEN))  # inches of a panel
+    size = side, side * aspect_of(free) + 0.7
     figure, (first, second) = new_grid(2, 2, size, (0, 0.3))
     figure.suptitle(title)
     draw_preferences(first, free, costs)

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from qdenv.study.recordings import Maps, throughput_over_time, worst_cells
 from qdenv.view import SCREEN
-from qdenv.view.guidance import draw_flow, draw_preferences
+from qdenv.view.guidance import aspect_of, draw_flow, draw_preferences
 from qdenv.view.style import ABREAST, PALETTE, WARNING, add_legend, colour, new_figure, styled
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def draw_traffic(scene: Scene, title: str, width: float = SCREEN) -> Figure:
     narrow paper one panel stands below the other.
     """
     across = 2 if width >= ABREAST else 1
-    tall = _aspect(scene)
+    tall = aspect_of(scene.free)
     guided = () if scene.costs is None else ("guidance", "flow")
     kinds = (*_COLOURS, "time", *guided)
     down = len(kinds) // across
@@ -84,18 +84,12 @@ def draw_traffic(scene: Scene, title: str, width: float = SCREEN) -> Figure:
 @styled
 def draw_panel(scene: Scene, kind: str, width: float) -> Figure:
     """Draw one panel alone: "waiting", "usage", "finished" or "time"; "guidance" or "flow"."""
-    high = 0.5 * width if kind == "time" else (width - _BESIDE) * _aspect(scene) + _TITLES
+    high = 0.5 * width if kind == "time" else (width - _BESIDE) * aspect_of(scene.free) + _TITLES
     figure = new_figure(width, high)
     axes = figure.subplots()
     _draw_panel(axes, scene, kind)
     axes.set_title("")  # the caption around it says so
     return figure
-
-
-def _aspect(scene: Scene) -> float:
-    """Return the height of a map as a share of its width, within what a page can hold."""
-    rows, cols = scene.free.shape
-    return float(np.clip(rows / cols, 0.4, 1.6))
 
 
 def _draw_panel(axes: Axes, scene: Scene, kind: str) -> None:
