@@ -97,11 +97,11 @@ class Agreement(NamedTuple):
     ratio: Sample  # of what the one says over what the other says, where that is above 0
 
 
-def agree(ours: np.ndarray, theirs: np.ndarray, seed: int = 0) -> Agreement:
+def agree(ours: np.ndarray, theirs: np.ndarray) -> Agreement:
     """Compare two judges of the same layouts (float [layouts] each)."""
     moved = theirs > 0
     ratio = sample_of(ours[moved] / theirs[moved] if moved.any() else np.array([np.nan]))
-    spearman, kendall = (correlate(kind, ours, theirs, seed) for kind in ("spearman", "kendall"))
+    spearman, kendall = (correlate(kind, ours, theirs) for kind in ("spearman", "kendall"))
     return Agreement(len(ours), spearman, kendall, ratio)
 
 

@@ -16,7 +16,7 @@ from experiments.runs import SavedRun, run_of
 from qdenv.agent.evaluate import BAND, draw_mazes, without_ring
 from qdenv.domains.base import Domain, find_domain
 from qdenv.generators import choose_tiles
-from qdenv.grid import draw, of_tiles, parse
+from qdenv.grid import draw, parse
 from qdenv.io.layouts import write_layout
 from qdenv.nca import seed_canvas
 from qdenv.run.directory import RunDirectory
@@ -55,11 +55,8 @@ class Made(NamedTuple):
 
     @property
     def free(self) -> np.ndarray:
-        """Cells that agents drive on, bool [H, W]; every cell where no fleet drives."""
-        tasks = self.domain.simulator.tasks
-        if tasks is None:
-            return np.ones(self.layout.shape, bool)
-        return np.asarray(of_tiles(self.layout, tasks.traversable, tasks.tiles))
+        """Cells that agents drive on, bool [H, W]; `InputError` where no fleet drives."""
+        return self.domain.drivable(self.layout)
 
 
 @dataclass(frozen=True)
