@@ -120,8 +120,7 @@ def main(
         rest = f", about {format_duration(left)} left" if done < len(todo) else ""
         print(f"{done} of {len(todo)}: {run!r}{rest}", flush=True)
     groups = {name: group_runs(runs)[0] for name, runs in found.items()}
-    domain = qdenv.DOMAINS.name_of(base.evaluation.domain)
-    write_table(out / "algorithms.csv", groups, domain)
+    write_table(out / "algorithms.csv", groups, qdenv.DOMAINS.name_of(base.evaluation.domain))
     spread = "mean and 95 % interval" if seeds > 1 else "one run each"
     draw(out / "algorithms.png", groups, f"{preset}, {seeds} seeds: {spread}")
     print(f"{out / 'algorithms.csv'}, {out / 'algorithms.png'}")

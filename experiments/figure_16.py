@@ -31,9 +31,8 @@ def draw(folders: Folders) -> Drawn:
                 note(axes, f"{domain}, alpha = {alpha}\nnot run yet")
                 continue
             image = draw_archive(axes, one, f"{domain}, alpha = {alpha}", scale)
-            elites = len(one.elites["cell"])
             regular = int((one.elites["environment entropy"] < REGULAR).sum())
-            row = (domain, alpha, f"{one.last.evaluations:,}", f"{elites:,}")
+            row = (domain, alpha, f"{one.last.evaluations:,}", f"{len(one.elites['cell']):,}")
             rows.append((*row, f"{regular:,}", f"{one.last.qd_score:,.0f}"))
     figure.colorbar(image, ax=panels, label="tasks / timestep", shrink=0.6)
     return Drawn(figure, (*table(HEAD, rows), "", NOTE))

@@ -95,8 +95,7 @@ class SavedLayout(Piece):
         path = self.path(folders)
         if not path.exists():
             return 0.0
-        origin = json.loads(path.read_text()).get("origin", "")
-        return float(origin == self.origin(folders))
+        return float(json.loads(path.read_text()).get("origin", "") == self.origin(folders))
 
     def refusal(self, folders: Folders) -> str:
         """Return why it cannot be repaired, and simulated; "" if it can, or is not made yet."""

@@ -81,8 +81,7 @@ def main(
         picture: where to draw the archive of the last seed.
     """
     config = CmaMaeConfig(emitters, batch, sigma0=0.5, restart="basic", strategy=strategy)
-    search = search_sphere(config, dim, iterations)
-    compiled = search.lower(jax.random.key(0)).compile()
+    compiled = search_sphere(config, dim, iterations).lower(jax.random.key(0)).compile()
     rows = []
     for seed in range(seeds):
         start = time.process_time()

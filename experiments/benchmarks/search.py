@@ -198,9 +198,8 @@ def surrogate(
         timing = best_of(repeats, partial(iterate, fitted), rounds)
         yield {"loop": "inner iteration", "weights": None, **timing}
         for name, learner in fitted.learners.items():
-            leaves = jax.tree.leaves(learner.variables["params"])
             timing = best_of(repeats, partial(train, name, fitted, ring), rounds)
-            weights = sum(leaf.size for leaf in leaves)
+            weights = sum(leaf.size for leaf in jax.tree.leaves(learner.variables["params"]))
             yield {"loop": f"training step, {name}", "weights": weights, **timing}
 
     timings = show(f"{size} surrogate, {preset}, {encoding.shape}", rows())

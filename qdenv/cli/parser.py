@@ -96,8 +96,7 @@ def _message(event: Any, target: Any, rules: Any) -> str:
         return f"{_name_of(event.argument)} needs a value{listed}"
     if isinstance(event, events.MissingArgs):
         missing = event.missing_arguments[0].arg
-        about = help_of(missing.field).rstrip(".")
-        return f"{_name_of(missing)} is missing: {about}{listed}"
+        return f"{_name_of(missing)} is missing: {help_of(missing.field).rstrip('.')}{listed}"
     return ""
 
 

@@ -142,9 +142,8 @@ def _settings(record: Any, prefix: str = "", path: str = "") -> Iterator[tuple[s
             own = _PLANNER if field.name == "planner" else prefix
             yield from _settings(value, own, f"{path}{field.name}__")
         elif Fixed not in getattr(field.type, "__metadata__", ()):
-            shown = " ".join(map(str, flat(value)))
             robots = ("--robots",) * (field.name == "agents")
-            hint = f"(default: {shown})"
+            hint = f"(default: {' '.join(map(str, flat(value)))})"
             about = arg(name=f"{prefix}{field.name}", aliases=robots, help_behavior_hint=hint)
             yield f"{path}{field.name}", Annotated[field.type, about], field.helptext
 
@@ -169,7 +168,6 @@ def _name(registry: Registry, default: Any) -> Any:
 
 def _check_planner_options(words: Sequence[str], settings: Any) -> None:
     """Refuse settings of another planner, and name the planner that has them."""
-    planner = PLANNERS.name_of(settings)
     own = {field.name for field in dataclasses.fields(settings)}
     for word in words:
         option = word.partition("=")[0]
@@ -183,7 +181,7 @@ def _check_planner_options(words: Sequence[str], settings: Any) -> None:
                 homes += [home] * any(field.name == name for field in fields)
         known = sorted(one.replace("_", "-") for one in own)
         advice = f"add --planner {homes[0]}" if homes else choices(name.replace("_", "-"), known)
-        raise InputError(f"{option}: {planner} has no such setting: {advice}")
+        raise InputError(f"{option}: {PLANNERS.name_of(settings)} has no such setting: {advice}")
 
 
 def _preset_options(chosen: Choices, rest: Sequence[str]) -> StructConstructorSpec:

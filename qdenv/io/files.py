@@ -163,8 +163,7 @@ def locked(folder: Path) -> Iterator[None]:
             f"{folder}: another process is at work on this run: wait for it, or end it first"
         ) from None
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"{folder}: cannot be written to ({reason})") from error
+        raise InputError(f"{folder}: cannot be written to ({error.strerror or error})") from error
     try:
         for name in (".", "checkpoints", "agents"):  # other folders may be runs at work
             sweep(folder / name)

@@ -128,7 +128,6 @@ def read_json_rows(path: Path) -> Drawing:
         weights = structured(weights, list[float], f"{path}, weights", infinite=True)
     domain = content["domain"] if isinstance(content.get("domain"), str) else None
     keep = tuple(drawings.get("keep", ()))
-    rows = drawings.get("layout", [])
     starts = structured(content.get("starts", []), tuple[int, ...], f"{path}, starts")
     tasks = structured(content.get("tasks", []), tuple[tuple[int, ...], ...], f"{path}, tasks")
     structured(content.get("facts", {}), dict[str, Any], f"{path}, facts")
@@ -136,7 +135,7 @@ def read_json_rows(path: Path) -> Drawing:
         raise damaged(path, "a task has no cell")
     own = ("n_row", "n_col", "layout", "weights", "domain", "keep", "starts", "tasks")
     details = {name: value for name, value in content.items() if name not in own}
-    return Drawing(rows, domain, keep, weights, details, starts, tasks)
+    return Drawing(drawings.get("layout", []), domain, keep, weights, details, starts, tasks)
 
 
 def read_csv_rows(path: Path) -> Drawing:

@@ -123,8 +123,7 @@ def write_scen(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
     lines = ["version 1"]
     for start, task in zip(drawing.starts, drawing.tasks, strict=False):
         (y, x), (goal_y, goal_x) = divmod(start, cols), divmod(task[0], cols)
-        line = (0, beside.name, cols, rows, x, y, goal_x, goal_y, 0)
-        lines.append("\t".join(map(str, line)))
+        lines.append(f"0\t{beside.name}\t{cols}\t{rows}\t{x}\t{y}\t{goal_x}\t{goal_y}\t0")
     write_atomically(path, ("\n".join(lines) + "\n").encode())
     if len(drawing.tasks) != len(drawing.starts) or any(len(task) > 1 for task in drawing.tasks):
         lost.append("all but one robot for each task, and the first place of each task, are")
@@ -293,8 +292,7 @@ def write_rhcr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         body = [f"{number},{names[symbol]},{rest}" for number, symbol, rest in parts]
         lines = ["Grid size (x, y)", f"{len(rows)},{cols}", head, *body]
     else:
-        maxtime = drawing.details.get("maxtime", _MAXTIME)
-        counts = [drawn.count("e"), drawn.count(_HOME), maxtime]
+        counts = [drawn.count("e"), drawn.count(_HOME), drawing.details.get("maxtime", _MAXTIME)]
         lines = [f"{len(rows)},{cols}", *map(str, counts), *rows]
     write_atomically(path, ("\n".join(lines) + "\n").encode())
     return lost

@@ -59,10 +59,9 @@ def convert(
     else:
         drawing, plan = Drawing([]), args.read_plan(layout, domain)
     chosen = find_writer(Path(target), format)
-    inputs = [layout, guidance]
     files, endings = [Path(target)], FORMATS[chosen].beside.get(Path(target).suffix.lower(), ())
     files += [Path(target).with_suffix(ending) for ending in endings]
-    places = (place(file, "", (file.suffix.lower(),), inputs) for file in files)
+    places = (place(file, "", (file.suffix.lower(),), [layout, guidance]) for file in files)
     written, *beside = filter(None, places)
     if (taken := [one.path for one in beside if one.replaces]) and not written.replaces:
         raise InputError(f"{taken[0]}: {written} would replace it: choose another name")
@@ -80,8 +79,7 @@ def convert(
         details = {name: one for name, one in details.items() if name not in {"cell", *own}}
     weights = None
     if plan.costs is not None:
-        free = found.drivable(plan.layout)
-        weights = weights_of(np.where(free, plan.costs, np.inf))
+        weights = weights_of(np.where(found.drivable(plan.layout), plan.costs, np.inf))
     meanings = {symbol: found.meanings.get(symbol, Tile(symbol)) for symbol in found.tiles}
     if tasks := found.simulator.tasks:  # what robots do not drive on is an obstacle
         meanings = {

@@ -58,11 +58,10 @@ def train_agent(
     Examples:
         ``qdenv train-agent --out agents/first``
     """
-    checkpoint = path / "checkpoint.npz"
     if not resume:
         RunDirectory(path).demand_own()
         refuse_second_training(path)
-    elif not checkpoint.exists():
+    elif not (path / "checkpoint.npz").exists():
         raise InputError(f"{path}: no run to resume (checkpoint.npz is missing)")
     elif config.steps < read_json(path / "config.json", TrainConfig).steps:
         raise InputError(f"{path}: more steps are configured already: give as many, or more")

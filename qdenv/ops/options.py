@@ -264,8 +264,7 @@ class Fleet:
 
     def settings(self, timesteps: int | None, plans: Sequence[Plan] = ()) -> dict[str, Any]:
         """Return the options for facts, with the guidance of `plans` where one has costs."""
-        guidance = name_guidance(plans)
-        stated = {"guidance": guidance, "tasks": self.tasks}
+        stated = {"guidance": name_guidance(plans), "tasks": self.tasks}
         return {name: one for name, one in stated.items() if one} | {
             "domain": self.domain,
             "timesteps": timesteps,

@@ -191,8 +191,7 @@ class Layout:
         from qdenv.view.layouts import draw_plan  # imports matplotlib
         from qdenv.view.style import save_figure
 
-        figure = draw_plan(self.layout, self.domain.tiles, self.domain.names)
-        save_figure(figure, path, crop=True)
+        save_figure(draw_plan(self.layout, self.domain.tiles, self.domain.names), path, crop=True)
         return Path(path)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:

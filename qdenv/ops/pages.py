@@ -311,7 +311,7 @@ def _report_fleet(request: FleetRequest, again: str) -> Page:
 
         page = report_fleet(request, again, show, bar)
     say(*(one["sentence"] for one in page.facts["decisions"]))
+    agents = page.facts["agents"]
     for name, one in page.facts["layouts"].items():
-        agents = page.facts["agents"]
         say(f"{name}, {agents} agents: {one['verdict']}, {one['verdict_reason']}")
     return page

@@ -306,8 +306,7 @@ class ClusterExecutor(Executor):
         """Send another copy of each pending task: its worker may hang. The first result counts."""
         _LOG.warning("%d tasks are overdue and sent to others, too", len(self._pending))
         keys = {copy.key for task in list(self._pending) for copy in task.copies}
-        processing = self._client.processing()
-        free = [worker for worker, has in processing.items() if not keys & {*has}]
+        free = [worker for worker, has in self._client.processing().items() if not keys & {*has}]
         self._send(list(self._pending), free)
 
     def _dismiss(self) -> int:

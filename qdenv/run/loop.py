@@ -110,9 +110,8 @@ def _run(
     algorithm = growing(algorithm._replace(ask=ask, tell=tell))
     with contextlib.ExitStack() as stack:
         layouts = stack.enter_context(open_evaluator(execution, config, pipeline, bar.update))
-        initial = Search.begin(algorithm, experiment.search_key)
         publisher = Publisher(run, experiment, algorithm, settings)
-        begun, search = publisher.load(initial)
+        begun, search = publisher.load(Search.begin(algorithm, experiment.search_key))
         if config != run.config:
             if total < begun:
                 more = "give a larger number, or leave --evaluations out"

@@ -102,9 +102,8 @@ def read_solutions(run: RunDirectory) -> dict[str, np.ndarray]:
     config = run.config
     experiment = build_experiment(config, run.read_start())
     algorithm = growing(experiment.algorithm)
-    initial = Search.begin(algorithm, experiment.search_key)
     publisher = Publisher(run, experiment, algorithm, experiment.settings(config))
-    _, search = publisher.load(initial)
+    _, search = publisher.load(Search.begin(algorithm, experiment.search_key))
     mean = np.asarray(search.state.emitters.strategy.mean)[0]
     return {"mean": mean, "best": run.best.solution}
 

@@ -175,8 +175,7 @@ def count_evaluations(plan: Plan, config: ImproveConfig, section: str) -> int:
         return config.evaluations
     assert config.minutes is not None
     domain, fleet = plan.fitted(), config.searched
-    done = run_seeds(plan.floor, domain.simulator.tasks, fleet, range(2))
-    seconds = done.cpu_seconds / 2
+    seconds = run_seeds(plan.floor, domain.simulator.tasks, fleet, range(2)).cpu_seconds / 2
     if section != "lanes":
         before = time.thread_time()
         holed = np.where(np.arange(plan.layout.size) % 97 == 0, 0, plan.layout.reshape(-1))

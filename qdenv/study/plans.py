@@ -169,9 +169,8 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
     if not isinstance(demand, tuple):
         plain = make_domain(replace(domain.config, demand=())).simulator.tasks
         assert plain is not None  # else there is no demand
-        endpoints = np.asarray(plain.cycle[0].weight(plan.layout)) > 0
         if isinstance(demand, str | Path):
-            demand = read_demand(demand, endpoints)
+            demand = read_demand(demand, np.asarray(plain.cycle[0].weight(plan.layout)) > 0)
         try:
             changes["demand"] = rows_of_odds(np.asarray(demand, float))
         except (TypeError, ValueError):

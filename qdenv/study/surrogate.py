@@ -108,9 +108,8 @@ def try_surrogate(
     seed is that of the split and of the networks' initial weights.
     """
     shape = elites.drawn.shape[1], elites.drawn.shape[2]
-    measures = elites.numbers.shape[1] - 1
     encoding = Encoding(shape, elites.kinds, elites.repairs)
-    stages, init, fit_part, predict = _compile(config, encoding, measures)
+    stages, init, fit_part, predict = _compile(config, encoding, elites.numbers.shape[1] - 1)
     parts = [(name, epoch) for name in stages for epoch in range(config.epochs)]
     splits = []
     for number, seed in enumerate(seeds):
@@ -186,7 +185,6 @@ def scores_to_dict(
         "skills": skills,
     }
     if elites.repairs:
-        tiles = [split.tiles for split in splits]
-        facts["repaired_tiles_predicted"] = average_splits(tiles)
+        facts["repaired_tiles_predicted"] = average_splits([split.tiles for split in splits])
         facts["repaired_tiles_as_drawn"] = float((elites.drawn == elites.repaired).mean())
     return facts

@@ -84,7 +84,6 @@ def about_fleet(
 ) -> list[str]:
     """Describe a run in two lines: its settings and its outcome."""
     rows, cols = plan.layout.shape
-    planner = describe_planner(config.planner)
     tasks, waits = int(motion.finished.sum()), motion.waits
     jam = ""
     if motion.congested:
@@ -92,7 +91,7 @@ def about_fleet(
         jam = f"; congested at {int(traffic.congested_at)}, {after}"
     return [
         f"{config.agents:,} robots on {rows} x {cols}, {motion.timesteps:,} timesteps, "
-        f"seed {seed}; planner: {planner}",
+        f"seed {seed}; planner: {describe_planner(config.planner)}",
         f"throughput {float(traffic.throughput):.3f} tasks per timestep, {tasks:,} tasks finished, "
         f"{waits.mean() if waits.size else 0:.1%} of the robots' time spent waiting{jam}",
     ]
