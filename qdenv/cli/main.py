@@ -173,10 +173,10 @@ def _run_command(name: str, typed: list[str]) -> int:
     from qdenv.ops.output import AUTO, UnsolvedError, place
     from qdenv.types import InputError
 
-    failure = None
     try:
         operation, stated = parse_command(name, typed)
-        bound, facts_file = stated.arguments, stated.json
+        bound, to_stdout = stated.arguments, stated.json == Path("-")
+        facts_file = None if to_stdout else stated.json
         arguments, known = bound.arguments, bound.signature.parameters
         if not known.keys().isdisjoint(("out", "study")):
             # In Python nothing is written unless named. Studies share options, this one as well.
@@ -187,9 +187,8 @@ def _run_command(name: str, typed: list[str]) -> int:
             arguments["again"] = shlex.join(["qdenv", *name.split(), *typed])
         if isinstance(layouts := arguments.get("layouts"), tuple):  # named twice, it is one
             arguments["layouts"] = tuple(dict.fromkeys(layouts))
-        target, to_stdout = None, facts_file == Path("-")
         # What is read is compared where places are chosen.
-        named = arguments | arguments.get("study", {}) | {"json": None if to_stdout else facts_file}
+        named = arguments | arguments.get("study", {}) | {"json": facts_file}
         written: dict[str, str] = {}  # file -> name of the option
         for option, one in named.items():
             read = one == AUTO or option in ("layout", "run", "plan", "model", "checkpoint")
@@ -201,14 +200,13 @@ def _run_command(name: str, typed: list[str]) -> int:
             for beside in _files_beside(filter(os.path.exists, map(str, flat(arguments)))):
                 if os.path.realpath(beside) in replaced:
                     raise InputError(f"{beside}: that is what is read: choose another name")
-        if not to_stdout:
-            target = place(facts_file, "facts.json", inputs=flat(arguments))
+        target = place(facts_file, "facts.json", inputs=flat(arguments))
         # Nothing but the facts is written to standard output if they are written there.
         with contextlib.redirect_stdout(sys.stderr if to_stdout else sys.stdout), _printing():
             try:
                 result = operation(*bound.args, **bound.kwargs)
             except UnsolvedError as error:
-                result = failure = error
+                result = error
         facts = result if isinstance(result, dict) else getattr(result, "facts", {})
         facts = tidy({**facts, "command": name, "qdenv": qdenv.__version__})
         if to_stdout:
@@ -216,8 +214,8 @@ def _run_command(name: str, typed: list[str]) -> int:
         elif target:
             write_json(target.path, facts)
             print(target)
-        if failure:
-            raise failure
+        if isinstance(result, UnsolvedError):
+            raise result
         return getattr(result, "exit_code", 0)
     except InputError as error:
         return _refuse(str(error))

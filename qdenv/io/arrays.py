@@ -31,7 +31,6 @@ _MAX_DIRECTORY = 4 * MEGABYTE  # bytes of the list of members
 MAX_EXPANDED, MAX_RATIO = 64 * MEGABYTE, 30
 _MAX_HEADER = 1000  # characters of an array's header: what numpy parses as a Python literal
 PIECE = 2**24  # bytes that are copied at once
-_ENCRYPTED = 1  # bit of a member's flags
 # Errors that the zip module and numpy raise for wrong bytes.
 _DAMAGES = (
     zipfile.BadZipFile,
@@ -102,7 +101,7 @@ def _check_members(archive: zipfile.ZipFile, size: int, source: Path | str) -> N
         raise damaged(source, "too many members, or two of one name")
     for one in members:
         plain = one.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-        if one.flag_bits & _ENCRYPTED or not plain:
+        if one.flag_bits & 1 or not plain:  # the bit of encryption
             raise damaged(source, f"{one.filename} is encrypted or packed in an unknown way")
     # Bombs of overlapping members expand the same bytes again and again.
     if sum(one.compress_size for one in members) > size:

@@ -31,9 +31,7 @@ class Format(NamedTuple):
 _LAYOUTS, _MAPS = "qdenv.io.layouts", "qdenv.io.maps"
 _IMAGES, _ROADS = "qdenv.io.images", "qdenv.io.lanes"
 _ROBOTS, _LANES = ("starts", "tasks"), ("weights", "cell", "name")
-_PLAIN = " .@#X"  # floor and obstacles, which mean the same in every format
 LIBRARIES = {".xlsx": "openpyxl", ".dxf": "ezdxf"}  # that need to be installed, by endings
-_SEVERAL = (".yaml",)  # endings of which no format is the usual one
 # Of several with the same ending, the first one is meant where nothing else says which.
 FORMATS: dict[str, Format] = {
     "json": Format(
@@ -117,7 +115,7 @@ def _find(path: Path, form: str | None, way: str) -> str | None:
     ending = _ending_of(path)
     if form is None:
         fit = [name for name, one in able.items() if ending in one.endings]
-        if ending in _SEVERAL and fit:
+        if ending == ".yaml" and fit:  # no format with it is the usual one
             raise InputError(f"{path}: --format says which: {' or '.join(fit)}")
         return fit[0] if fit else None
     if way == "write" and ending not in able[form].endings:
@@ -175,6 +173,6 @@ def redraw(
         names = ", ".join(dict.fromkeys(known[symbol].name for symbol in alike))
         if "," in names:
             lost.append(f"what tells {names} apart ({sign!r}) is")
-        elif alike[0] not in (*signs, *_PLAIN):
+        elif alike[0] not in (*signs, *" .@#X"):  # floor and obstacles are the same everywhere
             lost.append(f"what {names} is ({sign!r}) is")
     return [row.translate(str.maketrans(table)) for row in rows], lost

@@ -22,7 +22,6 @@ from qdenv.io.layouts import BLANKS, Drawing, free_cells
 from qdenv.types import InputError, Tile
 
 _VEHICLE = "robot"  # the one type of vehicle
-_FREE, _OCCUPIED = 254, 0  # grey of ROS's pictures
 
 _Node = tuple[str, float, float]  # name of the tile, x and y of its centre in metres
 _Edge = tuple[int, int, float]  # from node, to node, cost of the move
@@ -163,7 +162,7 @@ def write_ros(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
     free = free_cells(drawing.rows, meanings)
     picture, side = path.with_suffix(".pgm"), side_of(path, drawing)
     head = f"P5\n{free.shape[1]} {free.shape[0]}\n255\n".encode()
-    pixels = np.where(free, _FREE, _OCCUPIED).astype(np.uint8)
+    pixels = np.where(free, 254, 0).astype(np.uint8)  # almost white, black
     write_atomically(picture, head + pixels.tobytes())
     facts = {"image": picture.name, "mode": "trinary", "resolution": side}
     facts |= {"origin": [0.0, 0.0, 0.0], "negate": 0}

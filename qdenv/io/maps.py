@@ -34,10 +34,8 @@ _MOVING_AI = str.maketrans({**dict.fromkeys(".GS", "."), **dict.fromkeys("@OTW",
 _RUNNERS = str.maketrans({"S": "e", "E": "w", "T": "#", "G": ".", "O": "#", "W": "#"})
 _ON_RUNNERS: dict[str, Any] = {"e": "S", "w": "E", "i": "E", "o": "E", "#": "T", "X": "T"}
 _RHCR_HEAD = re.compile(r"\d{1,5}\s*,\s*\d{1,5}")  # the first line of a .map: rows, columns
-_NUMBER = re.compile(r"\d{1,9}")
 _HOME = "r"
 _TYPES = dict(Travel=".", Obstacle="@", Endpoint="e", Home=_HOME, Induct="i", Eject="o")
-_MAXTIME = 5000
 
 
 def read_map(path: Path) -> Drawing:
@@ -247,7 +245,7 @@ def read_rhcr(path: Path) -> Drawing:
         details: dict[str, int] = {}
     else:
         rows, weights = lines[4:], None
-        details = {"maxtime": int(lines[3])} if _NUMBER.fullmatch(lines[3].strip()) else {}
+        details = {"maxtime": int(lines[3])} if re.fullmatch(r"\d{1,9}", lines[3].strip()) else {}
     if [*map(len, rows)] != [width] * height:
         raise damaged(path, f"the head says {height} x {width}, the rows are others")
     homes = [place for place, symbol in enumerate("".join(rows)) if symbol == _HOME]
@@ -292,7 +290,7 @@ def write_rhcr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         body = [f"{number},{names[symbol]},{rest}" for number, symbol, rest in parts]
         lines = ["Grid size (x, y)", f"{len(rows)},{cols}", head, *body]
     else:
-        counts = [drawn.count("e"), drawn.count(_HOME), drawing.details.get("maxtime", _MAXTIME)]
+        counts = [drawn.count("e"), drawn.count(_HOME), drawing.details.get("maxtime", 5000)]
         lines = [f"{len(rows)},{cols}", *map(str, counts), *rows]
     write_atomically(path, ("\n".join(lines) + "\n").encode())
     return lost

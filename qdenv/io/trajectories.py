@@ -13,19 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from qdenv import grid
-from qdenv.io.files import damaged, read_text, write_atomically, write_csv
+from qdenv.io.files import MEGABYTE, damaged, read_text, write_atomically, write_csv
 from qdenv.io.records import parse_json, structured
 
 HEAD = ("timestep", "robot", "row", "column")
 _GOALS = ("goal_row", "goal_column", "finished")  # of our own lines
 _MOST = 20_000_000  # robots times timesteps of a run; a hostile file may not fill the memory
-_JSON_BYTES = 256 * 2**20
 # Action -> (rows, columns) of a step; of robots that turn a step leads ahead, clockwise from east.
 _LETTERS = "WRLDU"  # of the moves in the order of `grid`
 _STEPS = dict(zip(_LETTERS[1:], grid.MOVES, strict=True))
-_HEADINGS = "ESWN"
 _AHEAD = np.array([_STEPS[letter] for letter in "RDLU"])
-_WAITS = "WT"  # T: the planner was too late
 # A stretch of a path of 2026: where it begins, which is ignored, and actions with their numbers.
 _STRETCH = re.compile(r"\[\([^()]*\):\(([^()]*)\)\]")
 
@@ -142,7 +139,7 @@ def read_run(path: str | Path) -> Trajectories:
     if the file is neither.
     """
     if Path(path).suffix.lower() == ".json":
-        content = parse_json(read_text(path, _JSON_BYTES, "JSON"), path)
+        content = parse_json(read_text(path, 256 * MEGABYTE, "JSON"), path)
         return _read_league(path, structured(content, _Output, path))
     return _read_lines(path)
 
@@ -197,7 +194,7 @@ def _read_league(path: str | Path, output: _Output) -> Trajectories:
         paths, starts = len(output.actualPaths), len(output.start)
         raise damaged(path, f"{paths} paths with {starts} starts: each robot has one of both")
     turning, every = output.actionModel == "MAPF_T", max(output.agentMaxCounter, 1)
-    known = _WAITS + ("FRC" if turning else "".join(_STEPS))
+    known = "WT" + ("FRC" if turning else "".join(_STEPS))  # T: the planner was too late
     actions = []
     for robot, text in enumerate(output.actualPaths):
         letters, left = _expand(text), _MOST // len(output.actualPaths)
@@ -238,7 +235,7 @@ def _follow(letters: str, start: tuple[int, int, str], turning: bool, every: int
         drives, turns = actions == "F", np.isin(actions, ["R", "C"])
         ends = np.cumsum(turns) % every == 0
         turned = np.where(actions == "R", 1, -1) * (turns & ends)
-        heading = max(_HEADINGS.find(start[2]), 0) + np.cumsum(turned)
+        heading = max("ESWN".find(start[2]), 0) + np.cumsum(turned)
         steps = _AHEAD[heading % 4] * (drives & (np.cumsum(drives) % every == 0))[:, None]
     else:
         steps = np.zeros((len(actions), 2), np.int64)

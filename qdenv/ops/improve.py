@@ -31,7 +31,6 @@ from qdenv.types import InputError
 
 SETTINGS, PLAN = "improve.json", "plan.json"  # in the folder
 ROWS, REPORT = "improve.csv", "report.html"
-_MINUTES = 10.0
 _CHOICES = {"domain": DOMAINS, "planner": PLANNERS}
 
 
@@ -89,7 +88,7 @@ def improve(
     given: dict[str, Any] = dict(search)
     minutes, evaluations = given.pop("minutes", None), given.pop("evaluations", None)
     if minutes is None and evaluations is None:
-        minutes = _MINUTES
+        minutes = 10.0
     numbers = {name: given.pop(name) for name in ("moves", "seed") if name in given}
     named = ("shelves", *BuiltConfig.__annotations__)
     rules: dict[str, Any] = {name: given.pop(name) for name in named if name in given}

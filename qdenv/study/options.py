@@ -111,8 +111,7 @@ def keep_from(
         cells = np.where(inside, symbols, cells)
     with about(str(parts[0]) if len(parts) == 1 else "keep"):
         kept = make_domain(replace(domain.config, keep=tuple(map("".join, cells))))
-        reason = None if kept.rules is None else impossible(kept.rules())
-        if reason:
+        if kept.rules and (reason := impossible(kept.rules())):
             raise InputError(f"no layout obeys the rules with these cells kept: {reason}")
     return kept
 

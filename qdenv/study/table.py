@@ -302,19 +302,19 @@ def decide(ours: Row, theirs: Row) -> dict[str, Any]:
         return f"{percent:.1f} % more" if percent > 0 else f"{min(-percent, 100.0):.1f} % less"
 
     low, high = sorted((abs(apart.low), abs(apart.high)))
+    moves = f"{subject} moves {more(apart.percent)} than {other}"
     if np.isnan(apart.percent):
         sentence = f"{theirs.layout} moves nothing at {ours.agents} robots"
         sentence += f", {subject} {ours.mean_of_all:.2f} tasks per timestep"
     elif not apart.percent:
         sentence = f"{subject} moves as much as {other}"
     elif np.isnan(apart.low):
-        sentence = f"{subject} moves {more(apart.percent)} than {other} (too few runs to be sure)"
+        sentence = f"{moves} (too few runs to be sure)"
     elif apart.significant:
-        sentence = f"{subject} moves {more(apart.percent)} than {other}"
-        sentence += f" (95 %: {low:.1f} to {high:.1f} %)"
+        sentence = f"{moves} (95 %: {low:.1f} to {high:.1f} %)"
     else:
-        sentence = f"{subject} moves {more(apart.percent)} than {other}, which may be chance"
-        sentence += f" (95 %: {more(apart.low)} to {more(apart.high)})"
+        interval = f"(95 %: {more(apart.low)} to {more(apart.high)})"
+        sentence = f"{moves}, which may be chance {interval}"
     facts = {"layout": subject, "against": theirs.layout, "agents": ours.agents}
     return {**facts, **apart._asdict(), "sentence": sentence}
 

@@ -23,7 +23,6 @@ _WALLS = ListedColormap(["#c4c8cd", "#ffffff"])
 _YELLOW = ListedColormap([(0.94, 0.89, 0.26, 0.35)])  # a veil
 _DEAR = 1.4  # times the average cost of waiting
 _CELL = 0.085  # inches of a cell in which an arrow can be read
-_MOST_PATHS = 5000
 
 
 def share_along(preferred: np.ndarray, moves: np.ndarray) -> float:
@@ -125,6 +124,6 @@ def draw_arrows(axes: Axes, strength: np.ndarray) -> Quiver:
         headlength=2.6,
         headaxislength=2.6,
         minlength=0,
-        # As many paths would make a page of megabytes.
-        rasterized=len(value) > _MOST_PATHS,
+        # More paths would make a page of megabytes.
+        rasterized=len(value) > 5000,
     )
