@@ -4,7 +4,7 @@ import functools
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -20,8 +20,6 @@ from qdenv.study.options import fleet_tasks
 from qdenv.types import Floor, TaskRule, Traffic
 
 _POLL_SECONDS = 0.2  # between two reports of the progress
-# (seed, traffic, recording of every step) -> anything, see `run_seeds`
-Reader: TypeAlias = Callable[[int, Traffic, Recording], Any]
 
 
 class Simulated(NamedTuple):
@@ -40,17 +38,17 @@ def run_seeds(
     config: fleet.FleetConfig,
     seeds: Sequence[int],
     agents: int | None = None,
-    read: Reader | None = None,
+    read: Callable[[int, Traffic, Recording], Any] | None = None,
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Simulated:
     """Simulate a floor, or a layout (int8 [H, W]) alone, once per seed, on all cores.
 
     Layouts of one size share a compiled program; so do numbers of agents, of which there are at
-    most ``config.agents``, and as many unless given. `read` is called with every run and its
-    recording, which is dropped afterwards: all recordings together may not fit into memory. Without
-    it nothing is recorded. `threads` is the number of runs at a time, None for that of the cores.
-    Raises InputError if the domain has no fleet, or the layout does not suit it.
+    most ``config.agents``, and as many unless given. `read` is called with each seed, its run and
+    its recording, which is dropped afterwards: all recordings together may not fit into memory.
+    Without it nothing is recorded. `threads` is the number of runs at a time, None for that of the
+    cores. Raises InputError if the domain has no fleet, or the layout does not suit it.
     """
     layout, costs = Floor.of(floor)
     count = config.agents if agents is None else agents

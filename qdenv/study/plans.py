@@ -4,6 +4,7 @@ import contextlib
 import os.path
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
@@ -303,14 +304,13 @@ def _guess_domain(symbols: set[str]) -> Domain:
         return find_domain(_MAZE)
     shipped = [name for name in DOMAINS.shipped if name != _NAMED_ONLY]
     plugged = [name for name in DOMAINS.names() if name not in DOMAINS.shipped]
-    for names in (shipped, plugged):
-        for others in (False, True):
-            for name in names:
-                with contextlib.suppress(InputError):  # somebody else's broken plug-in
-                    domain = find_domain(name)
-                    known = aliases(domain.tiles, domain.meanings) if others else ()
-                    if symbols <= {*domain.tiles, *known}:
-                        return domain
+    for names, others in product((shipped, plugged), (False, True)):
+        for name in names:
+            with contextlib.suppress(InputError):  # somebody else's broken plug-in
+                domain = find_domain(name)
+                known = aliases(domain.tiles, domain.meanings) if others else ()
+                if symbols <= {*domain.tiles, *known}:
+                    return domain
     return find_domain(USUAL)
 
 
