@@ -90,10 +90,9 @@ def main(
         rows.append((float(archive.qd_score) / len(archive.objectives), 100 * archive.coverage))
         figures = f"{rows[-1][0]:6.2f} {rows[-1][1]:6.2f} %"
         print(f"seed {seed}: {figures}   {spent:.2f} CPU ms per iteration")
-    mean, error = np.mean(rows, axis=0), standard_error(rows)
     score, coverage = (
         f"{one:.2f}" + (f" ± {half:.2f}" if np.isfinite(half) else "")  # of one seed it is unknown
-        for one, half in zip(mean, error, strict=True)
+        for one, half in zip(np.mean(rows, axis=0), standard_error(rows), strict=True)
     )
     about = f"{strategy}, {iterations} iterations, {seeds} seed{'s' * (seeds != 1)}"
     print(f"{about}: normalised QD-score {score}, coverage {coverage} %")

@@ -127,10 +127,9 @@ def _numbers(facts: Mapping[str, Any]) -> list[str]:
     hour = f", {facts['tasks_per_hour']:,.0f} tasks per hour" if "tasks_per_hour" in facts else ""
     lines.append(f"throughput   {facts['mean_of_all']:.3f}{band} tasks per timestep{hour}")
     if "idle_share" in facts:
-        idle, wait = facts["idle_share"], facts["order_wait"]
         lines.append(
-            f"orders       robots have none for {idle:.0%} of their time; "
-            f"one waits {wait:.1f} timesteps for a robot"
+            f"orders       robots have none for {facts['idle_share']:.0%} of their time; "
+            f"one waits {facts['order_wait']:.1f} timesteps for a robot"
         )
     smooth, rate = facts["mean_throughput"], facts["success_rate"]
     if rate < 1:
