@@ -50,18 +50,13 @@ class PlanFacts(Ranged):
 FACTS = tuple(one.name for one in fields(PlanFacts) if one.name != "settings")
 
 
-def parse_facts(text: str, source: Path) -> dict[str, Any]:
-    """Parse TOML; raise DamagedError, which names the `source`, if it is none."""
-    with parsing(source, "TOML"):
-        return tomllib.loads(text)
-
-
 def facts_beside(plan: Path) -> dict[str, Any]:
     """Read the facts in the file beside a plan; empty where there is none."""
     path = plan.with_suffix(".toml")
     if path == plan or not path.is_file():
         return {}
-    return parse_facts(read_text(path, MEGABYTE, "TOML"), path)
+    with parsing(path, "TOML"):
+        return tomllib.loads(read_text(path, MEGABYTE, "TOML"))
 
 
 def make_facts(content: Mapping[str, Any], source: Path) -> PlanFacts:

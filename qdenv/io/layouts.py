@@ -7,6 +7,7 @@ rows are what is simulated. JSON and a CSV of another form hold costs of moves a
 """
 
 import csv
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from qdenv.grid import draw, parse
-from qdenv.io.facts import FENCE, facts_beside, make_facts, parse_facts
+from qdenv.io.facts import FENCE, facts_beside, make_facts
 from qdenv.io.files import damaged, parsing, read_text, write_atomically, write_json
 from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, holds, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
@@ -103,7 +104,8 @@ def read_text_rows(path: Path) -> Drawing:
         ends = [number for number, row in enumerate(rows) if row.rstrip() == FENCE]
         if len(ends) != 2:
             raise damaged(path, f"one line {FENCE} begins facts, a second one ends them")
-        facts = parse_facts("\n".join(rows[1 : ends[1]]), path)
+        with parsing(path, "TOML"):
+            facts = tomllib.loads("\n".join(rows[1 : ends[1]]))
         rows = rows[ends[1] + 1 :]
         while rows and not rows[0].strip():
             del rows[0]
