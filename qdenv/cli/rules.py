@@ -82,8 +82,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             )
         if kind is args.TaskOptions:
             known = chosen.domain in (None, *DOMAINS.names())  # the command refuses what is not
-            spec = _options(_task_settings(_domain_of(chosen, rest)) if known else ())
-            return dataclasses.replace(spec, instantiate=lambda **stated: stated)
+            return _options(_task_settings(_domain_of(chosen, rest)) if known else ())
         if get_origin(kind) is not dict or get_origin(keywords[0]) is not Annotated:
             return None
         value, mark, *_ = get_args(keywords[0])

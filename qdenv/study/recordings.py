@@ -12,7 +12,6 @@ from qdenv.progress import Progress, silent
 from qdenv.ranges import Seed, check_range
 from qdenv.simulation.mapf.settings import FleetConfig
 from qdenv.stats import standard_error
-from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.types import InputError, Traffic
 
@@ -190,7 +189,6 @@ def record_fleet(
     Raises InputError if the fleet cannot work on this layout, or the run is too long to be shown.
     """
     _check_run(config.agents, config.timesteps, seed)
-    tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, config.agents)
     # These import the simulator.
     from qdenv.simulation.mapf.audit import jammed_windows
     from qdenv.study.engine import run_seeds
@@ -214,6 +212,7 @@ def record_fleet(
             timesteps=config.timesteps,
         )
 
+    tasks = plan.domain.simulator.tasks
     done = run_seeds(plan.floor, tasks, config, (seed,), read=read, progress=progress)
     return done.readings[0], done.runs[0]
 
