@@ -115,7 +115,7 @@ def train(
     Examples:
         ``qdenv train laptop --algorithm map-elites --seed 3 --out runs/first``
     """
-    base = find_preset(preset) if isinstance(preset, str) else preset
+    base, name = (find_preset(preset), preset) if isinstance(preset, str) else (preset, "run")
     if execution.workers is not None:
         settings = {"workers": execution.workers, **settings}
     if plan is not None:
@@ -136,7 +136,6 @@ def train(
         kept = keep_from(keep, make_domain(config.evaluation.domain))
         evaluation = dataclasses.replace(config.evaluation, domain=kept.config)
         config = dataclasses.replace(config, evaluation=evaluation)
-    name = preset if isinstance(preset, str) else "run"
     fresh = path is None
     path = Path(f"runs/{name}-{datetime.now():%Y%m%d-%H%M%S}" if path is None else path)
     if path.as_posix().startswith(PREFIX):

@@ -100,12 +100,11 @@ def compare(
         if (row.planner or row.layout) != first
     ]
     say(*[f"against {first}, over all runs, with 95 % interval ({how}):"] * bool(others))
-    for row, (percent, low, high, significant) in others:
-        sure = "significant" if significant else "may be chance"
-        interval = f"({low:+.1f} to {high:+.1f}), {sure}"
-        if np.isnan(low):
-            interval = "(too few runs for an interval)"
-        say(f"{row.name}, {row.agents} agents: {percent:+.1f} % {interval}")
+    for row, one in others:
+        change = f"{one}, {'significant' if one.significant else 'may be chance'}"
+        if np.isnan(one.low):
+            change = f"{one.percent:+.1f} % (too few runs for an interval)"
+        say(f"{row.name}, {row.agents} agents: {change}")
     names = [f"difference_{name}" for name in Difference._fields[:3]] + ["significant"]
     # None where there is no interval: an empty cell.
     ends = [

@@ -173,20 +173,18 @@ def judge(here: Point, probe: Callable[[int], Point], most: int, idle: float = 0
         return _PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time", points
     if idle > _IDLE:
         return _FLOWS, f"without an order agents spend {idle:.0%} of their time", points
-    worth = 1.0
     if here.agents > 1:
         fewer = at(floor(_FEWER * here.agents))
         if _gain(here, fewer) > _GAIN:
             return _PAST, _compared(here, fewer), points
-        worth = value_of_an_agent(fewer[:2], here[:2])
-        reason = f"the last {here.agents - fewer.agents} agents add {-_gain(here, fewer):.0%}"
-    if worth < WORTH:
-        # Beyond the peak throughput may lie flat: it is sought where agents are far fewer.
-        for share in _FAR_FEWER:
-            fewer = at(max(1, floor(share * here.agents)))
-            if _gain(here, fewer) > _GAIN:
-                return _PAST, _compared(here, fewer), points
-        return _NEAR, reason, points
+        if value_of_an_agent(fewer[:2], here[:2]) < WORTH:
+            reason = f"the last {here.agents - fewer.agents} agents add {-_gain(here, fewer):.0%}"
+            # Beyond the peak throughput may lie flat: it is sought where agents are far fewer.
+            for share in _FAR_FEWER:
+                fewer = at(max(1, floor(share * here.agents)))
+                if _gain(here, fewer) > _GAIN:
+                    return _PAST, _compared(here, fewer), points
+            return _NEAR, reason, points
     if here.agents < most:
         more = at(min(most, ceil(_MORE * here.agents)))
         word = _NEAR if value_of_an_agent(here[:2], more[:2]) < WORTH else _FLOWS
