@@ -33,9 +33,8 @@ from qdenv.study.plans import read_plan
 from qdenv.view.style import new_grid, save_figure, styled
 
 # What files call a layout's maker: the first that fits counts, as a tiled layout's name may say
-# whose layout was tiled.
-MAKERS = {"tiled": "tiled", "nca_a0": "a0", "nca_a1": "a1", "nca": "nca", "dsage": "dsage"}
-MAKERS |= {"human": "human"}
+# whose layout was tiled. The paper's tables call nca_a0 and nca_a1 by their alphas alone.
+MAKERS = ("tiled", "nca_a0", "nca_a1", "nca", "dsage", "human")
 LOOKS = {  # Okabe and Ito 2008
     "published": ("#D55E00", "o"),
     "plain": ("#CC79A7", "s"),
@@ -50,7 +49,7 @@ HEAD = (
 
 def paper_on(row: Outcome) -> str:
     """Find what the paper says of a case by the layout's name; "" for nothing."""
-    maker = next((maker for word, maker in MAKERS.items() if word in row.layout), "")
+    maker = next((word for word in MAKERS if word in row.layout), "").removeprefix("nca_")
     return str(TRAFFIC.get((row.domain, maker, row.agents), ""))
 
 

@@ -97,9 +97,9 @@ class Case(NamedTuple):
 
     domain: str
     floor: str  # name of a published file, or path of another
-    graph: str  # file of the published graph; "" where only the floor is at hand
     fleet: FleetConfig
-    published: dict[str, float]  # throughput by guidance; "graph" is that of the published file
+    # throughput by guidance; "graph" is the published one, whose file is the floor's
+    published: dict[str, float]
 
 
 _WAREHOUSE = "pibt_warehouse-33x36_w_mode_cma-es_400_agents_four-way-move"
@@ -107,40 +107,21 @@ _EMPTY = "pibt_empty-48-48_cma-es_1000_agents_four-way-move"
 _RANDOM = "pibt_random_cma-es_32x32_400_agents_four-way-move"
 _KIVA = "kiva_33x36_human_cma-es_opt_220_agents"
 CASES = {
-    "random": Case(
-        "map",
-        _RANDOM,
-        _RANDOM,
-        replace(SWAPPING, agents=400),
-        {"none": 5.52, "crisscross": 6.84, "graph": 7.78},
-    ),
+    "random": Case("map", _RANDOM, SWAPPING, {"none": 5.52, "crisscross": 6.84, "graph": 7.78}),
     "warehouse": Case(
-        "published-floor",
-        _WAREHOUSE,
-        _WAREHOUSE,
-        PIBT,
-        {"none": 5.22, "crisscross": 6.65, "graph": 7.64},
+        "published-floor", _WAREHOUSE, PIBT, {"none": 5.22, "crisscross": 6.65, "graph": 7.64}
     ),
-    "warehouse-150": Case(
-        "published-floor", _WAREHOUSE, "", replace(PIBT, agents=150), {"none": 3.75}
-    ),
+    "warehouse-150": Case("published-floor", _WAREHOUSE, replace(PIBT, agents=150), {"none": 3.75}),
     "empty": Case(
         "map",
-        _EMPTY,
         _EMPTY,
         replace(PIBT, agents=1000),
         {"none": 19.48, "crisscross": 23.84, "graph": 24.04},
     ),
-    "warehouse-pbs": Case(
-        "published-floor", _KIVA, _KIVA, SEARCH, {"crisscross": 5.59, "graph": 6.58}
-    ),
+    "warehouse-pbs": Case("published-floor", _KIVA, SEARCH, {"crisscross": 5.59, "graph": 6.58}),
     # As `qdenv guide calm.json --robots 640 --planner pibt --timesteps 1000` drives.
     "calm": Case(
-        "warehouse-even",
-        str(FOUND / "calm-0.json"),
-        "",
-        FleetConfig(640, 1000, planner=PibtConfig()),
-        {},
+        "warehouse-even", f"{FOUND}/calm-0.json", FleetConfig(640, 1000, planner=PibtConfig()), {}
     ),
 }
 
@@ -193,8 +174,8 @@ def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
     case: Case = look_up(CASES, name, "case")
     plan = read_floor(case)
     guidances: dict[str, Any] = {base: base for base in get_args(Base)}
-    if case.graph:
-        guidances["graph"] = published(case.graph)
+    if "graph" in case.published:
+        guidances["graph"] = published(case.floor)
     found = {path.stem.rpartition("-"): path for path in sorted(FOUND.glob("*.json"))}
     guidances |= {f"ours {key[2]}": path for key, path in found.items() if key[0] == name}
     floors = {f"{name}/{one}": guide(plan, where).floor for one, where in guidances.items()}

@@ -19,7 +19,7 @@ def test_a_case_is_simulated_under_each_guidance(tmp_path, monkeypatch, capsys):
     folder.mkdir()
     (folder / "toy.json").write_text(json.dumps({"layout": ROWS}))
     fleet = guidance.replace(guidance.PIBT, agents=8, timesteps=50)
-    case = guidance.Case("published-floor", "toy", "", fleet, {"none": 0.5})
+    case = guidance.Case("published-floor", "toy", fleet, {"none": 0.5})
     monkeypatch.setitem(guidance.CASES, "toy", case)
     monkeypatch.setattr(guidance, "FOUND", tmp_path)
     with pytest.raises(InputError, match="QDENV_STUDY_DATA does not name"):
