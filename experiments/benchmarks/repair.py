@@ -10,13 +10,14 @@ import numpy as np
 
 import qdenv
 from experiments.benchmarks.common import Row, Stopwatch, save, show
+from experiments.published import FLEETS
+from qdenv.grid import inside_frame
 from qdenv.ranges import PositiveInt
 from qdenv.repairs.recipe import repair_layout
 from qdenv.repairs.settings import Polish, RepairConfig
 from qdenv.types import RepairStatus, Rules
 
 SMALL, SIZE, EVAL_SIZE = (17, 16), (33, 36), (101, 102)  # of the preset `quick`, S, S_eval
-FLEETS = ("warehouse-even", "warehouse-uneven", "manufacturing")
 DOMAINS = ("warehouse-even", "manufacturing")  # whose rules differ
 KERNELS = (3, 3, 3)
 Layouts = Sequence[np.ndarray] | np.ndarray  # int8 [B, H, W]
@@ -169,9 +170,9 @@ def random_tiles(kind: str, count: int, seed: int = 0, shape: tuple[int, int] = 
 def mutated_tiles(kind: str, layouts: np.ndarray, seed: int = 0) -> np.ndarray:
     """Mutate one to ten tiles of each layout (int8 [count, H, W]), as a search of tiles does."""
     domain = qdenv.find_domain(kind).resized(*layouts.shape[1:])
-    rng, mutated, (top, left) = np.random.default_rng(seed), layouts.copy(), domain.margin
+    rng, mutated = np.random.default_rng(seed), layouts.copy()
     for layout in mutated:
-        inside = layout[top : layout.shape[0] - top, left : layout.shape[1] - left]
+        inside = inside_frame(layout, domain.margin)  # a view
         cells = rng.choice(inside.size, rng.integers(1, 11), replace=False)
         tiles = rng.integers(len(domain.generated), size=cells.size)
         inside[np.unravel_index(cells, inside.shape)] = tiles
