@@ -22,7 +22,7 @@ LARGEST_CONDITION = 1e14  # so does one whose covariance has a larger condition 
 
 
 class Rates(NamedTuple):
-    """Strategy parameters (table 1 of the tutorial), numpy or jax arrays.
+    """Strategy parameters (table 1 of the tutorial), numbers or arrays.
 
     A table has a leading axis: the number of parents, 0..b. Row 0 holds zero rates and puts all
     weight on the first row, so that an update without parents changes nothing.
@@ -64,7 +64,7 @@ def separable_rates(mu_eff: float, dim: int) -> tuple[float, float, float]:
 def rates_row(parents: int, batch: int, dim: int, covariance_rates: _CovarianceRates) -> Rates:
     """Compute the parameters for one number of parents (float64)."""
     if parents == 0:
-        return Rates(np.eye(1, batch)[0], *map(np.asarray, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0)))
+        return Rates(np.eye(1, batch)[0], 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     # As pyribs: log(mu + 1/2) for mu parents in place of log((lambda + 1) / 2) in (49), so that
     # any number of parents has positive weights.
     ranks = np.arange(1, batch + 1)
@@ -73,8 +73,7 @@ def rates_row(parents: int, batch: int, dim: int, covariance_rates: _CovarianceR
     mu_eff = 1 / (weights**2).sum()  # (8)
     path = (mu_eff + 2) / (dim + mu_eff + 5)  # (55)
     damping = 1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (dim + 1)) - 1) + path  # (55)
-    numbers = mu_eff, path, damping, *covariance_rates(mu_eff, dim)
-    return Rates(weights, *map(np.asarray, numbers))
+    return Rates(weights, mu_eff, path, damping, *covariance_rates(mu_eff, dim))
 
 
 def rates_table(batch: int, dim: int, covariance_rates: _CovarianceRates) -> Rates:
@@ -82,7 +81,7 @@ def rates_table(batch: int, dim: int, covariance_rates: _CovarianceRates) -> Rat
     # The number of parents is known only while tracing: all rows in float64 now, one picked then.
     rows = [rates_row(parents, batch, dim, covariance_rates) for parents in range(batch + 1)]
     dtype = jnp.result_type(float)
-    return Rates(*(np.asarray(column).astype(dtype) for column in zip(*rows, strict=True)))
+    return Rates(*(np.array(column, dtype) for column in zip(*rows, strict=True)))
 
 
 @struct.dataclass

@@ -129,8 +129,7 @@ class Full(_Covariance):
         gap = np.float32(refresh_gap(self.num_dims, self.population_size))
         due = state.evaluations > state.refreshed + gap
         covariance, basis, eigenvalues = _refresh_if(due, state.C, state.B, state.eigenvalues)
-        transform = basis * jnp.sqrt(eigenvalues)[None]
-        solutions = base.matmul(noise, transform.T)  # (39)
+        solutions = base.matmul(noise, (basis * jnp.sqrt(eigenvalues)[None]).T)  # (39)
         return state.mean[None] + state.std * solutions, state.replace(  # (40)
             C=covariance,
             B=basis,
