@@ -275,8 +275,7 @@ class GridArchive(MapElitesRepertoire):
         ranks = jnp.cumsum(self.filled)
         draws = jax.random.randint(key, (count,), 0, jnp.maximum(ranks[-1], 1))
         cells = jnp.searchsorted(ranks, draws, side="right")
-        cells = jnp.where(ranks[-1] > 0, cells, 0).astype(jnp.int32)
-        some = self.filled.any()
+        some = ranks[-1] > 0  # else the cells are out of bounds, and what is there is not taken
         return jax.tree.map(
             lambda stored, other: jnp.where(some, stored[cells], other), self.genotypes, fallback
         )

@@ -293,8 +293,7 @@ def cma_mae(config: CmaMaeConfig, problem: Problem, x0: Array | None = None) -> 
         # Rows are ranked against the archive before the batch, but restarts draw from the archive
         # that holds it: the order of pyribs' scheduler.
         rows = solutions, score, insertion
-        changed = emitters.tell(state.emitters, tell_key, rows, archives)
-        return SearchState(key, changed, archives)
+        return SearchState(key, emitters.tell(state.emitters, tell_key, rows, archives), archives)
 
     return Algorithm(
         init, ask, tell, lambda state: state.archives.dense(), batch_size, ahead=config.ahead

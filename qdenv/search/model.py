@@ -71,14 +71,13 @@ class Model:
             drawn,
             jnp.asarray(extras["repaired"]) if encoding.repairs else drawn,
             jnp.asarray(extras["usage"]) if encoding.usage else jnp.zeros(drawn.shape),
-            _numbers(score),
+            jnp.column_stack(score[:3]),
         )
         # Predicted before it is learnt from: the errors are those on unseen layouts.
         predicted, repaired, _ = self.surrogate.predict(state.fitted, drawn)
         valid = jnp.asarray(score.success)
-        rmse, r2 = errors(_numbers(predicted), samples.numbers, valid)
-        alike = (repaired == samples.repaired).mean(axis=(1, 2))
-        tiles = jnp.mean(alike, where=valid)
+        rmse, r2 = errors(jnp.column_stack(predicted[:3]), samples.numbers, valid)
+        tiles = jnp.mean((repaired == samples.repaired).mean(axis=(1, 2)), where=valid)
         some = valid.any()
         return state._replace(
             ring=state.ring.add(samples, valid),
@@ -99,9 +98,3 @@ class Model:
         return {"fits": fits} | {
             number: jnp.where(fits > 0, value, jnp.nan) for number, value in numbers.items()
         }
-
-
-def _numbers(score: Score) -> jax.Array:
-    """Return what a surrogate predicts as one array, float [B, heads]."""
-    heads = [score.objective[:, None], score.result_objective[:, None], score.measures]
-    return jnp.concatenate(heads, axis=1)

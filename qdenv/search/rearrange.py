@@ -86,8 +86,7 @@ def rearrange(config: RearrangeConfig, problem: Problem, x0: Array | None = None
         return jnp.concatenate([own.tiles, drawn]), state._replace(key=key)
 
     def tell(state: SearchState, solutions: Array, score: Score, extras: Extras) -> SearchState:
-        held = inside(extras["repaired"])
-        held, score = check_batch(held, score)
+        held, score = check_batch(inside(extras["repaired"]), score)
         low = jnp.array([[axis.low for axis in problem.measures]])
         high = jnp.array([[axis.high for axis in problem.measures]])
         within = ((score.measures >= low) & (score.measures < high)).all(axis=-1)
@@ -111,8 +110,7 @@ def _selected(own: Population, held: jax.Array, score: Score) -> tuple[Populatio
     present, again = (own.times > 0) & score.success[:members], values[:members]
     surprise = (again - own.total / jnp.maximum(own.times, 1)) ** 2 * own.times / (own.times + 1)
     noise = jnp.where(present, surprise, 0).sum() / jnp.maximum(present.sum(), 1)
-    known = own.noise > 0
-    noise = jnp.where(known, _MEMORY * own.noise + (1 - _MEMORY) * noise, noise)
+    noise = jnp.where(own.noise > 0, _MEMORY * own.noise + (1 - _MEMORY) * noise, noise)
     # At first all members are the plan itself: one member with as many evaluations.
     only = jnp.arange(members) == 0
     total = jnp.where(begins, jnp.where(only, again.sum(), 0), own.total + again * present)

@@ -138,6 +138,5 @@ class ScorePredictor(nn.Module):
 def fill_up(maps: jax.Array) -> jax.Array:
     """Add zeros below and right of maps [B, H, W, K] up to a square whose side is a power of 2."""
     rows, cols = maps.shape[1:3]
-    longest = max(rows, cols, 2 * _SMALLEST)
-    side = 1 << (longest - 1).bit_length()
+    side = 1 << (max(rows, cols, 2 * _SMALLEST) - 1).bit_length()
     return jnp.pad(maps, ((0, 0), (0, side - rows), (0, side - cols), (0, 0)))

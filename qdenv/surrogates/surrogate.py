@@ -292,8 +292,7 @@ def errors(predicted: jax.Array, truth: jax.Array, valid: jax.Array) -> tuple[ja
 
     R^2 is 1 - (mean squared error) / (variance of the truth); 0 where the truth does not vary.
     """
-    counts = valid[:, None]
-    squared = jnp.mean(jnp.square(predicted - truth), axis=0, where=counts)
+    squared = jnp.mean(jnp.square(predicted - truth), axis=0, where=valid[:, None])
     variance = _spread_of(truth, valid)[1]
     share = jnp.where(variance > 0, 1 - squared / jnp.where(variance > 0, variance, 1), 0.0)
     return jnp.sqrt(squared), share
