@@ -6,9 +6,7 @@ operators alone, without a branch. A *truth* is a bool, or 1 and 0.
 An agent looks at a square of cells, E rows and E columns with itself in the middle. It has two
 *legs*: 0 on the way to its current goal, 1 on the way to the next one. A path may drive over
 reservations of others: each is one (soft) conflict. Conflicts are counted up to a cap, the last of
-the *conflict levels*, which stands for all larger numbers. These are the soft obstacles of SIPPS
-in MAPF-LNS2 (Li et al. 2022, https://doi.org/10.1609/aaai.v36i9.21266), at a price as in PathFinder
-(McMurchie & Ebeling 1995, https://doi.org/10.1145/201310.201328).
+the *conflict levels*, which stands for all larger numbers.
 
 Tuples and planes have the five moves in the order of `qdenv.grid`: wait, right, left, down, up.
 """

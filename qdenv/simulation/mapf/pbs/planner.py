@@ -52,7 +52,6 @@ def _plan_window(
         return FIELDS_FULL
     if work.numbers.is_full:
         return PLAN_FULL
-    work.numbers.unsolved += not solved
     plan, path, is_used, horizon = work.plan, fallback.path, fallback.is_used, run.settings.horizon
     for t in range(0 if solved else path.shape[1]):
         for agent in range(is_used.size):
@@ -88,8 +87,7 @@ def collect_goals(run: HostRun, fields: DistanceFields, goals: Goals) -> None:
         if run.kind[agent] == len(grid.odds):
             at_place = run.position[agent] == goals.cell[0, agent]
             goals.leg[agent] = workspace.SERVED if at_place else 1
-        second = run.goal[1, agent]
-        goals.between[agent] = distance(fields, grid, second, goals.cell[0, agent])
+        goals.between[agent] = distance(fields, grid, run.goal[1, agent], goals.cell[0, agent])
 
 
 @kernel
