@@ -158,8 +158,7 @@ def replay_tasks(
         finished[time], working[time + 1] = done, remaining > 0
         legs += done
         kind = np.where(done, (kind + 1) % len(stays), kind)
-        changed = goals[time + 1] != goal
-        skips = changed & ~done & ~idle
+        skips = (goals[time + 1] != goal) & ~done & ~idle
         if skips.any():
             broken.append(f"t={time}: agent {np.argmax(skips)} skips its goal")
     wrong = finished != credited

@@ -107,8 +107,7 @@ class Fields(NamedTuple):
         size = world.traversable.size
         number, far = distance_type(size, world.costs is not None)
         distance = jnp.full((2 * agents, size), far, number)
-        goal = jnp.full((2, agents), NOBODY, jnp.int32)
-        return cls(distance, goal, jnp.zeros((agents,), bool))
+        return cls(distance, jnp.full((2, agents), NOBODY, jnp.int32), jnp.zeros((agents,), bool))
 
 
 def rows_of(fields: Fields) -> jax.Array:

@@ -145,8 +145,7 @@ def _run_window(
 
     def step(fleet: FleetState, inputs: tuple[jax.Array, jax.Array]) -> tuple[FleetState, Block]:
         heading = _headings(world, fleet)
-        drawn = chance.draw(goals, inputs[1])
-        fleet, finished = drive(world, fleet, inputs[0], active, drawn)
+        fleet, finished = drive(world, fleet, inputs[0], active, chance.draw(goals, inputs[1]))
         if world.orders is not None and fleet.orders is not None:
             bits = chance.draw(arrivals, inputs[1]) >> (32 - chance.CHANCE_BITS)
             new = (world.orders <= bits.astype(jnp.int32)).sum(dtype=jnp.int32)

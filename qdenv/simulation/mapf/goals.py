@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import reduce
 from itertools import pairwise
-from operator import add
 from typing import Literal
 
 import numpy as np
@@ -59,13 +57,12 @@ def station_goal(
     def weight(layout: Array) -> Array:
         if not shares:
             return of_tiles(layout, symbols, tiles).astype(np.float32)
-        kinds = {symbol: of_tiles(layout, symbol, tiles).astype(np.float32) for symbol in shares}
-        # A kind without a cell has no odds: its share goes to the others.
-        spread = [
-            np.float32(shares[symbol]) * kind / (kind.sum() + (kind.sum() == 0))
-            for symbol, kind in kinds.items()
-        ]
-        return reduce(add, spread)
+        odds: Array = np.zeros(layout.shape, np.float32)
+        for symbol, share in shares.items():
+            kind = of_tiles(layout, symbol, tiles).astype(np.float32)
+            # A kind without a cell has no odds: its share goes to the others.
+            odds = odds + np.float32(share) * kind / (kind.sum() + (kind.sum() == 0))
+        return odds
 
     stay = table[[tiles.index(symbol) for symbol in symbols]]
     equal = int(stay[0]) if np.ptp(stay) == 0 else lambda layout: by_tile(table, layout)

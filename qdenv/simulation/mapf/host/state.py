@@ -93,15 +93,14 @@ def make_run(world: World, settings: RunSettings, agents: int, block: Block) -> 
     """Begin a run of `agents` agents who have no position yet; all arrays are numpy's."""
     grid = grid_map(world)
     windows = -(-settings.timesteps // settings.horizon)
-    position, kind, remaining_service, age, legs = np.zeros((5, agents), np.int64)
     return HostRun(
         grid=grid,
-        position=position,
-        kind=kind,
+        position=np.zeros(agents, np.int64),
+        kind=np.zeros(agents, np.int64),
         goal=np.zeros((2, agents), np.int64),
-        remaining_service=remaining_service,
-        age=age,
-        legs=legs,
+        remaining_service=np.zeros(agents, np.int64),
+        age=np.zeros(agents, np.int64),
+        legs=np.zeros(agents, np.int64),
         paths=np.zeros((agents, settings.window + 1), np.int64),
         stuck=np.zeros(agents, np.bool_),
         counters=numbers("time", "congested_at", "moves", "idle", "waiting", "begun"),
@@ -126,8 +125,7 @@ def place_agents(run: HostRun) -> None:
         bits = chance.draw_on_host(chance.draw_on_host(seed, purpose), np.arange(count))
         whole = (bits >> (32 - chance.CHANCE_BITS)).astype(np.float32)
         value = whole * np.float32(2.0**-chance.CHANCE_BITS)  # as `planner.draw_goals`
-        odds = grid.odds[ahead % len(grid.odds)]
-        drawn = np.searchsorted(odds, value, side="right")
+        drawn = np.searchsorted(grid.odds[ahead % len(grid.odds)], value, side="right")
         run.goal[ahead] = np.minimum(drawn, grid.goals.size - 1)
     if grid.orders.size > 0:  # all are idle, where they are
         run.kind[:], run.goal[:] = len(grid.odds), grid.slot[run.position]

@@ -41,13 +41,12 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         ahead = config.planned_ahead(window, horizon)
         near = state._replace(previous=state.previous[: ahead + 1])
 
-        def fall_back(_: None) -> jax.Array:
+        def fall_back() -> jax.Array:
             still = jnp.broadcast_to(near.position, near.previous.shape)
             resort = still if waits else rollout(world, near, horizon, key)
             conflicts = path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
             conflicts = conflicts & ~jnp.eye(agents, dtype=bool)
             conflicts = conflicts & state.active[:, None] & state.active[None, :]
-
             falls = fixed_point(
                 lambda falls: falls | (conflicts & falls[None, :]).any(1), ~result.is_reserved
             )
@@ -59,9 +58,8 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         # Sets of cells broadcast over agents on purpose, also where a caller forbids it at large.
         with jax.numpy_rank_promotion("allow"):
             result = negotiate(config, world, near, horizon, chance.seed_of(key))
-            paths = jax.lax.cond(result.is_reserved.all(), lambda _: result.paths, fall_back, None)
-        rest = jnp.broadcast_to(paths[-1], (window - ahead, agents))
-        return jnp.concatenate([paths, rest])
+            paths = jax.lax.cond(result.is_reserved.all(), lambda: result.paths, fall_back)
+        return jnp.concatenate([paths, jnp.broadcast_to(paths[-1], (window - ahead, agents))])
 
     return Planner(
         plan,

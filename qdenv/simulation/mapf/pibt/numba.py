@@ -1,10 +1,8 @@
 """PIBT in compiled host code, agent by agent as the algorithm is printed, and its rules.
 
-The rules are the conditions in function PIBT of algorithm 1 of Okumura et al. 2022, "Priority
-inheritance with backtracking for iterative multi-agent path finding", Artificial Intelligence 310
-(https://arxiv.org/abs/1901.11282), in plain operators: numba compiles them here, `jax.numpy` traces
-them in `planner.rollout`, whose result is the same bit for bit. Every argument of theirs is one
-integer, `NOBODY` where there is none.
+The rules are the conditions in function PIBT of algorithm 1 (`planner`) in plain operators: numba
+compiles them here, `jax.numpy` traces them in `planner.rollout`, whose result is the same bit for
+bit. Every argument of theirs is one integer, `NOBODY` where there is none.
 """
 
 from typing import NamedTuple, TypeVar
@@ -91,9 +89,8 @@ def make_rollout(agents: int, horizon: int, cells: int) -> Rollout:
     path, candidates = (np.zeros((agents, size), np.int64) for size in (horizon + 1, NUM_MOVES))
     occupant, claimant = np.full((2, cells), NOBODY, np.int32)
     stage, remaining, age, order, allowed, tried, pusher, partner = np.zeros((8, agents), np.int64)
-    key = np.zeros(NUM_MOVES, np.int64)
     state = path, stage, remaining, age, order, allowed, tried, pusher, partner
-    return Rollout(*state, candidates, key, occupant, claimant)
+    return Rollout(*state, candidates, np.zeros(NUM_MOVES, np.int64), occupant, claimant)
 
 
 @kernel
@@ -122,12 +119,11 @@ def roll_out(
             continue
         tie_break = chance.mix(ties, TIE_BREAKS + t)
         for agent in range(run.position.size):
-            fixed = rollout.remaining_service[agent] > 0
             age = rollout.age[agent]
             if swaps is not None and age > _PATIENCE:
                 # Agents that hold one another up for good get another order every few timesteps.
                 age = (chance.mix(chance.mix(ties, agent), age >> 4) >> 8) % _PATIENCE
-            turn = urgency(fixed, age, chance.mix(rank, agent))
+            turn = urgency(rollout.remaining_service[agent] > 0, age, chance.mix(rank, agent))
             rollout.order[agent] = (turn << AGENT_BITS) | agent
             rollout.occupant[rollout.path[agent, t]] = agent
         for agent in range(run.position.size):

@@ -112,8 +112,7 @@ def _negotiate(run: HostRun, fields: DistanceFields, plan: HostNegotiation, seed
             reservations.path[agent, t] = run.paths[agent, t]
         reservations.steps[agent] = 0
         reserve(reservations, agent, plan.remembered_steps, width)
-        serving = run.remaining_service[agent] > 0
-        rank = rules.random_rank(chance.mix(order, agent), serving)
+        rank = rules.random_rank(chance.mix(order, agent), run.remaining_service[agent] > 0)
         heap[agent] = (rank << AGENT_BITS) | agent
         plan.tie_break[agent] = chance.mix(ties, agent) >> (32 - rules.TIE_BITS)
         plan.attempts[agent] = 0
@@ -132,7 +131,6 @@ def _negotiate(run: HostRun, fields: DistanceFields, plan: HostNegotiation, seed
             plan.numbers.waiting -= 1
             heap[0] = heap[plan.numbers.waiting]
             sift(heap, 0, plan.numbers.waiting)
-        for lane in range(count):
             reserve(reservations, plan.planning[lane], 0, width)
         for lane in range(count):
             _plan(run, fields, plan, lane, turn)

@@ -51,9 +51,7 @@ class SearchArrays(NamedTuple):
     guided: tuple[int, ...]
 
 
-def make_arrays(
-    window: int, levels: int, penalties: np.ndarray, has_costs: bool = False
-) -> SearchArrays:
+def make_arrays(window: int, levels: int, penalties: np.ndarray, has_costs: bool) -> SearchArrays:
     """Make the arrays of searches of `window` steps with these costs (int [attempts]).
 
     `has_costs` if moves have costs, too.

@@ -54,9 +54,8 @@ def add_paths(
     """
     rows, width = shape
     words = -(-width // STRIDE)
-    window = paths.shape[0] - 1
     plane = rules.move_plane(paths[1:] - paths[:-1], width)
-    time = jnp.arange(window)[:, None]
+    time = jnp.arange(len(plane))[:, None]
 
     def updates(cells: jax.Array, plane: jax.Array, mask: jax.Array) -> tuple[jax.Array, jax.Array]:
         row, column = cells // width, cells % width
@@ -197,8 +196,7 @@ def negotiate(
         local = gather(world, state, reservations.table, walls, agent, penalty, tie_break)
         steps, cost = find_paths(local, config.conflict_levels)
         paths = state.position[agent] + steps[0] * shape[1] + steps[1]
-        found = plans & (cost < rules.INFEASIBLE)
-        chosen = choose(path_conflicts(paths, paths), found)
+        chosen = choose(path_conflicts(paths, paths), plans & (cost < rules.INFEASIBLE))
         reservations = accept(reservations, shape, agent, paths, chosen)
         return reservations, attempts.at[planning].add(1, mode="drop"), turn + 1
 

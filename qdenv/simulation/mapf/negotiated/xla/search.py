@@ -174,8 +174,7 @@ def _ends(
     elapsed = jnp.arange(rules.SERVED_BITS)[:, None]
     for leg in range(2):
         after = (1 - leg) * local.cost_after_goal - local.shortest
-        left = jnp.maximum(local.service_time[leg] - elapsed, 0)
-        service_cost = unit * left + after
+        service_cost = unit * jnp.maximum(local.service_time[leg] - elapsed, 0) + after
         for conflicts in range(levels):
             price = conflicts * local.penalty
             here, serving = cells[conflicts, leg], served[conflicts, leg]
@@ -357,7 +356,6 @@ def find_paths(local: LocalWindow, levels: int) -> tuple[jax.Array, jax.Array]:
         stayed = last_served[end.conflicts, end.leg, jnp.maximum(end.elapsed, 0), agent]
         spent = jnp.where(serving, stayed, driven)
     history = local.reserved, cells, served, served_after
-    go_back = partial(_go_back, local)
-    (first, _), path = jax.lax.scan(go_back, (end, spent), history, reverse=True)
+    (first, _), path = jax.lax.scan(partial(_go_back, local), (end, spent), history, reverse=True)
     path = jnp.concatenate([jnp.stack([first.row, first.column])[None], path])
     return path.swapaxes(0, 1) - local.side // 2, cost

@@ -72,8 +72,7 @@ def around(packed: jax.Array, position: jax.Array, width: int, reach: int) -> ja
     row, column = position // width, position % width - reach
     rows = row[None, :] - reach + jnp.arange(2 * reach + 1)[:, None]
     word, bit = column // STRIDE, (column % STRIDE).astype(jnp.uint32)
-    flat = packed.reshape(*packed.shape[:-2], -1)
-    seen = flat[..., rows * words + word[None, :]]
+    seen = packed.reshape(*packed.shape[:-2], -1)[..., rows * words + word[None, :]]
     return (seen >> bit) & jnp.uint32((1 << (2 * reach + 1)) - 1)
 
 
@@ -119,9 +118,8 @@ def gather(
     # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
     fixed = unit * service_time + after_leg - shortest
-    planes = table.reshape(-1, NUM_MOVES, *walls.shape)
     return LocalWindow(
-        reserved=around(planes, position, width, window),
+        reserved=around(table.reshape(-1, NUM_MOVES, *walls.shape), position, width, window),
         traversable=around(walls, position, width, window),
         goal=goal.astype(jnp.uint32),
         goal_row=row,
