@@ -98,16 +98,15 @@ class NCA(nn.Module):
                 width, (size, size), padding="SAME", precision=jax.lax.Precision.HIGHEST
             )
             cells = convolution(cells)
-            if self.exact:
-                if layer == last:
-                    half = len(_SIGMOID) // 2
-                    fine = jnp.clip(jnp.round(cells * (scale * _LOGIT)), -half, half - 1)
-                    cells = jnp.asarray(_SIGMOID)[fine.astype(jnp.int32) + half]
-                else:
-                    fine = jnp.clip(jnp.round(cells * _HIDDEN), 0, _MAX_HIDDEN * _HIDDEN - 1)
-                    cells = fine / _HIDDEN
-            else:
+            if not self.exact:
                 cells = nn.sigmoid(cells) if layer == last else nn.relu(cells)
+            elif layer == last:
+                half = len(_SIGMOID) // 2
+                fine = jnp.clip(jnp.round(cells * (scale * _LOGIT)), -half, half - 1)
+                cells = jnp.asarray(_SIGMOID)[fine.astype(jnp.int32) + half]
+            else:
+                fine = jnp.clip(jnp.round(cells * _HIDDEN), 0, _MAX_HIDDEN * _HIDDEN - 1)
+                cells = fine / _HIDDEN
         return cells
 
 
@@ -121,16 +120,10 @@ def make_automaton(
     canvas to start from (float32 [H, W, K]) and a number of steps to cells (float32 [H, W, K]).
     """
     module = NCA(kinds, tuple(kernel_sizes), hidden, exact)
-    canvas = jnp.zeros((1, 1, kinds))
-    variables = jax.tree.map(
-        lambda leaf: np.zeros(leaf.shape, leaf.dtype),
-        jax.eval_shape(module.init, jax.random.key(0), canvas),
-    )
-    # The shapes alone say how a flat vector is cut up: no random weights are ever drawn.
-    flat, unravel = ravel_pytree(variables)
+    size, unravel = _parameters_of(module, kinds)
 
     def grow(parameters: jax.Array, start: Array, steps: Array | int) -> jax.Array:
-        chex.assert_shape(parameters, (flat.size,))
+        chex.assert_shape(parameters, (size,))
         chex.assert_shape(start, (None, None, kinds))
         weights, scale = unravel(parameters), jnp.float32(1)
         if exact:
@@ -139,7 +132,15 @@ def make_automaton(
             0, steps, lambda _, cells: module.apply(weights, cells, scale), start
         )
 
-    return flat.size, grow
+    return size, grow
+
+
+def _parameters_of(module: nn.Module, channels: int) -> tuple[int, Callable[[jax.Array], Any]]:
+    """Count the parameters P of a module [H, W, channels]; return what cuts a vector [P] up."""
+    # The shapes alone say how: no random weights are ever drawn.
+    shapes = jax.eval_shape(module.init, jax.random.key(0), jnp.zeros((1, 1, channels)))
+    flat, unravel = ravel_pytree(jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), shapes))
+    return flat.size, unravel
 
 
 def add_channels(
@@ -250,10 +251,7 @@ def update(config: UpdateConfig, canvas: Canvas) -> Generator:
     With zeros the costs stay those of its base.
     """
     model = Update(config.kernel_sizes, config.hidden)
-    weights = jax.eval_shape(model.init, jax.random.key(0), jnp.zeros((1, 1, 2 * NUM_MOVES + 1)))
-    flat, unravel = ravel_pytree(
-        jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), weights)
-    )
+    size, unravel = _parameters_of(model, 2 * NUM_MOVES + 1)
 
     def guide(solution: jax.Array, steps: Any, layout: jax.Array, drive: Drive) -> jax.Array:
         weights = unravel(solution)
@@ -268,4 +266,4 @@ def update(config: UpdateConfig, canvas: Canvas) -> Generator:
             logarithms += jnp.moveaxis(change, -1, 0)
         return scaled_costs(logarithms, config.base)
 
-    return Generator(flat.size, 0, draw_nothing(canvas), guide=guide)
+    return Generator(size, 0, draw_nothing(canvas), guide=guide)
