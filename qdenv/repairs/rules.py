@@ -246,13 +246,12 @@ def impossible(rules: Rules, facts: Facts | None = None) -> str | None:
             where = "row {}, column {}".format(*np.argwhere(alone)[0])
             demand = f"{rules.name(tiles)} at {where} needs {rules.name(others)} beside it"
             return f"{demand}, which no cell there may hold"
-    if rules.connected:
-        labels, _ = ndimage.label(facts.may(rules.connected))
-        always = facts.must(rules.connected)
-        parts = np.unique(labels[always])
-        if parts.size > 1:
-            where = "row {}, column {}".format(*np.argwhere(always & (labels == parts[1]))[0])
-            return f"fixed obstacles cut {where} off from the rest of the driving area"
+    labels, _ = ndimage.label(facts.may(rules.connected))
+    always = facts.must(rules.connected)
+    parts = np.unique(labels[always])
+    if parts.size > 1:
+        where = "row {}, column {}".format(*np.argwhere(always & (labels == parts[1]))[0])
+        return f"fixed obstacles cut {where} off from the rest of the driving area"
     if rules.straight:
         stays = facts.must(rules.straight.tiles)
         for axis, lines in ((1, "rows"), (0, "columns")):

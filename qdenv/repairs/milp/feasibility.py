@@ -176,9 +176,8 @@ def _surround(program: Program, facts: Facts) -> tuple[int, list[Constraints]]:
         rows.append(at_least(drives[here], (columns[here], -own[here]), (beside[here], 1.0)))
     outside = 4 - count_neighbours(np.ones(shape, bool))
     weight = np.where(facts.room(rule), 1.0, 2.0) - outside
-    constant = (weight * drives - holds).sum()
     values = (weight[..., None] * own - held).reshape(1, -1)
-    least = np.array([-facts.spare_ring(rule) - constant])
+    least = np.array([-facts.spare_ring(rule) - (weight * drives - holds).sum()])
     rows.append(
         at_least(least, (columns.reshape(1, -1), values), (wall[walls].reshape(1, -1), -1.0))
     )

@@ -43,7 +43,6 @@ class _Silent(highspy.Highs):
 def new_solver(seed: int) -> highspy.Highs:
     """Make a silent solver with one thread."""
     solver = _Silent()
-    solver.setOptionValue("output_flag", False)
     solver.setOptionValue("threads", 1)
     solver.setOptionValue("random_seed", seed % (1 << 31))
     return solver
@@ -201,8 +200,7 @@ def improve(
         best = best._replace(lower_bound=max(best.lower_bound, bound))
         roles = decode(program.cells, np.array(solver.getSolution().col_value))
         candidate = assign_kinds(roles, layout, facts, rng)
-        cuts = separate(facts.driving[candidate], always) if facts.rules.connected else []
-        if cuts:
+        if cuts := separate(facts.driving[candidate], always):
             candidate = mend(candidate, layout, facts, rng)
         best = keep_cheaper(best, candidate, layout, facts)
         if is_proven(best, config.gap):

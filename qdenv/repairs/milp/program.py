@@ -107,8 +107,7 @@ def build(layout: np.ndarray, facts: Facts) -> Program:
     base = order[may[..., order].argmax(-1)]
     binary = may & (np.arange(may.shape[-1]) != base[..., None])
     # Numbered cell by cell, so that neighbours in the grid are near in the program.
-    number = np.cumsum(binary).reshape(binary.shape) - 1
-    cells = Cells(np.where(binary, number, -1), base)
+    cells = Cells(np.where(binary, np.cumsum(binary).reshape(binary.shape) - 1, -1), base)
     size = int(cells.columns.max()) + 1
     apart = [
         kind

@@ -54,8 +54,7 @@ class WindowSearch:
                 break
             row, col = waiting.pop()
             down, right = self.rng.integers(_SIDE, size=2).tolist()
-            gain = self.improve((row - down, col - right), _SIDE)
-            credit += _REWARD * gain - 1
+            credit += _REWARD * self.improve((row - down, col - right), _SIDE) - 1
             progress("solving windows", 1 - min(credit / granted, 1), "")
         return self.candidate
 
@@ -64,8 +63,7 @@ class WindowSearch:
 
         The solution is adopted if it costs no more. Returns how much the cost falls.
         """
-        near, box = (self._box(corner, side, margin) for margin in (_AROUND, _MARGIN))
-        window = self._box(corner, side, 0)
+        window, near, box = (self._box(corner, side, margin) for margin in (0, _AROUND, _MARGIN))
         cells = self._cells(near, window)
         inside = (cells.columns >= 0).any(-1)
         rows, cols = np.nonzero(inside)
@@ -100,8 +98,8 @@ class WindowSearch:
             self._place(places, chosen)
             gain = float(paid - self.price[places][self.candidate[places] != own].sum())
             after = self.facts.driving[self.candidate[box]]
-            whole = not self.facts.rules.connected or stays_connected(before, after, edges)
-            cuts = [] if whole else separate(after, self.always[box])
+            is_whole = stays_connected(before, after, edges)
+            cuts = [] if is_whole else separate(after, self.always[box])
             if gain >= 0 and not cuts and excess(self.counts, self.facts) == 0:
                 self.roles[places] = chosen
                 return gain
