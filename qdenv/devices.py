@@ -35,8 +35,7 @@ def lanes(on_accelerator: int, on_host: int = 1) -> int:
 def count() -> int:
     """Count the devices that share the work: all of this process, or one `jax.default_device`."""
     chosen = getattr(jax.config, "jax_default_device")  # noqa: B009 (jax does not declare it)
-    number: int = 1 if chosen else jax.local_device_count()
-    return number
+    return 1 if chosen else jax.local_device_count()
 
 
 def threads(on_host: bool = True) -> int:

@@ -102,8 +102,7 @@ def unscaled_costs(fixed: np.ndarray, traversable: np.ndarray) -> np.ndarray:
 
 def existing_moves(traversable: np.ndarray) -> np.ndarray:
     """Return which moves exist (bool [5, H, W]): from a free cell to a free cell."""
-    ahead = [shift(traversable, move) for move in ((0, 0), *MOVES)]
-    return np.stack(ahead) & traversable
+    return np.stack([shift(traversable, move) for move in ((0, 0), *MOVES)]) & traversable
 
 
 def preferences(costs: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -49,9 +49,8 @@ def human_cost(traversable: np.ndarray, legs: np.ndarray) -> np.ndarray:
     order = np.argsort(prices[moves], kind="stable")[: int(_CANDIDATES * moves.sum())]
     rng = np.random.default_rng(_SEED)
     chosen = rng.choice(order, int(_HIGHWAYS * len(order)), replace=False)
-    values, costs = np.ones(int(moves.sum())), np.ones((NUM_MOVES, *traversable.shape))
-    values[chosen] = _HIGHWAY
-    costs[moves] = values
+    costs = np.ones((NUM_MOVES, *traversable.shape))
+    costs.flat[np.flatnonzero(moves)[chosen]] = _HIGHWAY
     return costs
 
 

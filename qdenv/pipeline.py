@@ -53,8 +53,6 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     generator = GENERATORS.make(config.generator, domain.canvas)
     # A generator that draws no tiles leaves a floor that stands, whatever rules that obeys.
     repairs = getattr(config.generator, "draws", True)
-    pool = RepairPool(domain.rules(), config.repair) if domain.rules and repairs else None
-
     guide = None if generator.guide is None else partial(draw_costs, domain.simulator, generator)
 
     def grow(parameters: jax.Array) -> jax.Array:
@@ -67,16 +65,15 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
         guided = None if guide is None else (guide, solutions)
         return simulate_layouts(domain.simulator, layouts, keys, config.simulations, guided)
 
-    score = jax.vmap(partial(score_layout, domain, config.alpha))
     return Pipeline(
         domain=domain,
         solution_size=generator.size,
         choices=generator.choices,
         grow=grow,
-        pool=pool,
+        pool=RepairPool(domain.rules(), config.repair) if domain.rules and repairs else None,
         repair_seed=repair_seed,
         simulate=simulate,
-        score=score,
+        score=jax.vmap(partial(score_layout, domain, config.alpha)),
         guide=guide,
     )
 
@@ -91,8 +88,7 @@ def draw_costs(
 ) -> Any:
     """Draw the costs of moves of one layout (int32 [5, H, W]); `key` decides its simulations."""
     guide, count_moves = generator.guide, simulator.count_moves
-    assert guide is not None
-    assert count_moves is not None
+    assert guide is not None and count_moves is not None
 
     def drive(costs: jax.Array, number: int) -> Any:
         return count_moves(simulator.prepare(layout, costs), jax.random.fold_in(key, number))

@@ -121,7 +121,7 @@ class Simulator(NamedTuple):
     @property
     def num_devices(self) -> int:
         """The number of devices that share one call."""
-        return 1 if devices.count() == 1 or self.on_host() else devices.count()
+        return 1 if self.on_host() else devices.count()
 
 
 @dataclass(frozen=True)
@@ -314,8 +314,7 @@ class Domain:
             fixed = fixed | _doors(np.asarray(fixed) & ~self.drivable(layout))
         if fitted.config.keep or not fixed.any():
             return fitted
-        kinds = np.where(fixed, layout, len(self.tiles))
-        keep = tuple(draw(kinds, self.tiles + FREE))
+        keep = tuple(draw(np.where(fixed, layout, len(self.tiles)), self.tiles + FREE))
         return make_domain(replace(fitted.config, keep=keep))
 
 

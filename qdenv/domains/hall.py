@@ -165,8 +165,7 @@ def hall(config: HallConfig) -> Domain:
     else:
         endpoints = weigh(endpoints, config.demand, shape)
     times = {sign: int(time) for sign, time in _by_station(config.drop, "drop").items()}
-    shares = _by_station(config.shares, "shares")
-    stations = station_goal(_STATIONS, _TILES, times, shares)
+    stations = station_goal(_STATIONS, _TILES, times, _by_station(config.shares, "shares"))
     domain = storage(config, _TILES, endpoints, stations, config.task_rate)
 
     def rules() -> Rules:

@@ -43,13 +43,12 @@ def make_map(config: MapConfig) -> Domain:
     # Robots go from one goal to the next, as in the League of Robot Runners.
     goal, area = tile_goal(".", _TILES)._replace(name="free cell"), config.rows * config.cols
     cycle = (weigh(goal, config.demand, (config.rows, config.cols)),)
-    tasks = TaskRule(_TILES, ".", cycle, config.task_rate)
     return Domain(
         tiles=_TILES,
         generated=_TILES,
         seed_block=(".",),
         rules=None,
-        simulator=fleet_simulator(tasks, config.fleet),
+        simulator=fleet_simulator(TaskRule(_TILES, ".", cycle, config.task_rate), config.fleet),
         objective=throughput,
         measures=(
             Measure("free cells", 0, area, min(area, 100), free, "area"),

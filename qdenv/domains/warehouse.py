@@ -77,8 +77,7 @@ def warehouse(config: WarehouseConfig) -> Domain:
         odds = np.where(left, np.float32(config.left_odds), np.float32(1))
         return odds * stations.weight(layout)
 
-    by_odds = stations._replace(weight=weight)
-    plain = storage(config, _TILES, tile_goal("e", _TILES), by_odds)
+    plain = storage(config, _TILES, tile_goal("e", _TILES), stations._replace(weight=weight))
     # S_eval of the paper (Table 1, and the numbers of agents that its throughputs were taken with).
     agents = 1000 if isinstance(config, UnevenWarehouseConfig) else 1400
     known = KnownSize(steps=200, timesteps=5000, agents=agents, numbers={"shelves": 2500})
