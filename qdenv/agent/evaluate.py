@@ -58,8 +58,7 @@ def without_ring(layout: Array) -> np.ndarray:
     """
     layout = np.asarray(layout)
     inside = layout[1:-1, 1:-1]
-    ring = layout.size - inside.size
-    walled = (layout == WALL).sum() - (inside == WALL).sum() == ring
+    walled = (layout == WALL).sum() - (inside == WALL).sum() == layout.size - inside.size
     return inside if walled and inside.size else layout
 
 
@@ -189,7 +188,7 @@ def compare_with_random(
     if mazes < 2:
         raise InputError("a standard error needs at least two mazes")
     inside = without_ring(layout)
-    horizon = horizon or default_horizon(inside)
+    horizon = horizon or default_horizon(layout)
     walls = int((inside == WALL).sum())
     given = Drawn(inside, *map(int, _longest_path(inside)))
     low, high = (share * given.shortest for share in BAND)

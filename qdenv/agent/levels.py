@@ -196,8 +196,7 @@ def update_scores(
     # Environments play on while their level is replaced: the serial shows it, and slot C is out of
     # bounds.
     slot = jnp.where(buffer.serial[slot] == serial, slot, size).reshape(-1)
-    positive = jnp.maximum(advantage, 0).reshape(-1)
-    total = jnp.zeros(size).at[slot].add(positive, mode="drop")
+    total = jnp.zeros(size).at[slot].add(jnp.maximum(advantage, 0).reshape(-1), mode="drop")
     count = jnp.zeros(size).at[slot].add(1.0, mode="drop")
     played = count > 0
     score = jnp.where(played, total / jnp.maximum(count, 1), buffer.score)

@@ -164,8 +164,7 @@ def advantages(steps: Transition, last_value: jax.Array, config: PPOConfig) -> j
         advantage = td_error + config.discount * config.trace * alive * next_advantage
         return (advantage, now.value), advantage
 
-    start = jnp.zeros_like(last_value), last_value
-    return jax.lax.scan(back, start, steps, reverse=True)[1]
+    return jax.lax.scan(back, (jnp.zeros_like(last_value), last_value), steps, reverse=True)[1]
 
 
 def unroll(weights: Weights, steps: Transition, memory: Memory) -> tuple[Memory, jax.Array]:

@@ -96,11 +96,10 @@ def _renew(
     if on_trial:
         trial, number = jax.random.split(keys[1]), jnp.arange(fresh)
         heading = jax.random.randint(trial[0], (fresh,), 0, 4)
-        envs = _reset_all(state.weights, proposed, number, number, heading)
         _, steps, last_value = collect(
             trial[1],
             state.weights,
-            envs,
+            _reset_all(state.weights, proposed, number, number, heading),
             lambda _, env: (jax.tree.map(lambda x: x[env], proposed), env, env),  # the same level
             config.ppo.timesteps,
             rewards,
@@ -124,7 +123,6 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
     cumulative = jnp.cumsum(probabilities)
 
     def next_level(draw: jax.Array, env: jax.Array) -> tuple[levels.Level, jax.Array, jax.Array]:
-        del env
         # Inverse transform sampling; the sum may miss 1 by a rounding, the slot the last level.
         slot = jnp.searchsorted(cumulative, draw * cumulative[-1], side="right")
         slot = jnp.minimum(slot, probabilities.size - 1)

@@ -86,8 +86,7 @@ def encode(weights: Weights, image: Array, compass: Array) -> jax.Array:
 
 def recur(weights: Weights, gates: Array, memory: Memory) -> Memory:
     """Advance the LSTM by one step (gates float32 [..., 4 L] from `encode`)."""
-    joined = gates + memory.hidden @ weights.gates_back
-    i, f, g, o = jnp.split(joined, 4, axis=-1)
+    i, f, g, o = jnp.split(gates + memory.hidden @ weights.gates_back, 4, axis=-1)
     cell = jax.nn.sigmoid(f) * memory.cell + jax.nn.sigmoid(i) * jnp.tanh(g)
     return Memory(jax.nn.sigmoid(o) * jnp.tanh(cell), cell)
 
