@@ -83,7 +83,8 @@ def paired_difference(ours: ArrayLike, theirs: ArrayLike) -> Difference:
     both = np.array([ours, theirs], float)
     runs = both.shape[1]
     parts = np.cov(both) / runs if runs > 1 else np.full((2, 2), np.nan)
-    return _ratio(*both.mean(axis=1), parts, runs - 1)
+    own, other = both.mean(axis=1)
+    return _ratio(own, other, parts, runs - 1)
 
 
 def _ratio(ours: float, theirs: float, parts: np.ndarray, freedom: float) -> Difference:

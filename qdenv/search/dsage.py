@@ -146,9 +146,7 @@ def mutate_tiles(key: jax.Array, parents: jax.Array, choices: int, mutations: in
     most = min(mutations or _MOST_MUTATIONS, cells)
     # The places of the largest of random numbers: different ones, in random order.
     places = jax.lax.top_k(jax.random.uniform(place_key, parents.shape), most)[1]
-    number = jnp.full(many, most)
-    if not mutations:
-        number = jax.random.geometric(number_key, 0.5, (many,))
+    number = jnp.full(many, most) if mutations else jax.random.geometric(number_key, 0.5, (many,))
     changed = jnp.arange(most)[None] < number[:, None]
     tiles = jax.random.randint(tile_key, places.shape, 0, choices, jnp.int8)
     target = jnp.where(changed, places, cells)  # others: out of bounds

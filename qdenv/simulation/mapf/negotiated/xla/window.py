@@ -92,7 +92,8 @@ def gather(
     """
     width, size = world.traversable.shape[1], world.traversable.size
     window = state.previous.shape[0] - 1
-    side, (unit, per_step) = 2 * window + 1, rules.units(int(world.costs is not None))
+    side, costs = 2 * window + 1, world.costs
+    unit, per_step = rules.units(int(costs is not None))
     position, rows = state.position[agent], state.row[:, agent]
     # Whatever is longer does not end within a window, however long it is.
     service_time = jnp.minimum(state.service_time[:, agent], MAX_SERVICE)
@@ -112,9 +113,6 @@ def gather(
     cell = jnp.clip(position + (step[:, None] * width + step)[:, :, None], 0, size - 1)
     distance = state.distance.reshape(-1)[rows[:, None, None] * size + cell].astype(jnp.int32)
     shortest = per_step * distance[0, window, window] + unit * service_time[0] + after
-    costs = None
-    if world.costs is not None:
-        costs = jnp.where(world.costs > 0, world.costs, FAR)[:, cell]
     # On the first leg the whole second one is still to come, whichever cell the window ends on.
     after_leg = jnp.stack([after, jnp.zeros_like(after)])
     fixed = unit * service_time + after_leg - shortest
@@ -131,7 +129,7 @@ def gather(
         remaining_service=jnp.minimum(state.remaining_service[agent], service_time[0]),
         penalty=penalty,
         tie_break=tie_break,
-        costs=costs,
+        costs=None if costs is None else jnp.where(costs > 0, costs, FAR)[:, cell],
         leg=jnp.broadcast_to(state.leg, state.position.shape)[agent],
     )
 
