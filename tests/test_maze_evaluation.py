@@ -117,7 +117,7 @@ def test_a_ring_of_walls_counts_once(agent):
     assert [one.walls for one in ones] == [60, 60]
 
 
-def test_comparison_with_random_mazes_of_like_path_length(agent):
+def test_comparison_with_random_mazes_of_like_path_length(agent, monkeypatch):
     layout = random_mazes(7, 1, 6, 6, 9)[0]
     found = compare_with_random(agent, layout, mazes=4, runs=10, horizon=40)
     length = oracle.longest(layout)[0]
@@ -131,6 +131,11 @@ def test_comparison_with_random_mazes_of_like_path_length(agent):
     np.testing.assert_allclose(found.standard_error, np.std(found.rates, ddof=1) / 2)
     # A single action reaches no goal: the horizon holds for random mazes, too.
     assert compare_with_random(agent, layout, mazes=2, runs=10, horizon=1).mean == 0
+    # Unless given it is that of the maze as it comes, however much of that is a ring.
+    ringed = np.pad(layout, 1, constant_values=1)
+    usual = "qdenv.agent.evaluate.default_horizon"
+    monkeypatch.setattr(usual, lambda maze: 1 if maze is ringed else 40)
+    assert compare_with_random(agent, ringed, mazes=2, runs=10).mean == 0
     with pytest.raises(InputError, match="two mazes"):
         compare_with_random(agent, layout, mazes=1)
 
