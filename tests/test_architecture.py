@@ -284,10 +284,10 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 32_880,
+    "lines": 32_715,
     "files": 192,
     "records": 195,
-    "public names": 1_215,
+    "public names": 1_213,
     "class names used twice": 0,
     "functions of two lines": 327,
 }
