@@ -52,6 +52,7 @@ def _plan_window(
         return FIELDS_FULL
     if work.numbers.is_full:
         return PLAN_FULL
+    work.numbers.unsolved += not solved
     plan, path, is_used, horizon = work.plan, fallback.path, fallback.is_used, run.settings.horizon
     for t in range(0 if solved else path.shape[1]):
         for agent in range(is_used.size):

@@ -125,7 +125,7 @@ class Workspace(NamedTuple):
     is_waiting: np.ndarray  # bool [A]
     # waiting, how many wait; conflicts, how many there are; is_full, whether the arrays of
     # conflicts, nodes or changes were too small; best_time and best_delay, of the first conflict of
-    # the best plan and of that plan; nodes, expanded in all windows
+    # the best plan and of that plan; nodes, expanded, and unsolved, of all windows
     numbers: Numbers
     published: bool  # whether agents without a path stay, and waiting at the start has precedence
     node_limit: int  # most nodes to expand
@@ -177,7 +177,9 @@ def make_workspace(run: HostRun, config: PbsConfig, depth: int) -> Workspace:
         num_near=np.zeros(count, np.int64),
         waiting=np.zeros(count, np.int32),
         is_waiting=np.zeros(count, np.bool_),
-        numbers=numbers("waiting", "conflicts", "is_full", "best_time", "best_delay", "nodes"),
+        numbers=numbers(
+            *("waiting", "conflicts", "is_full", "best_time", "best_delay", "nodes", "unsolved")
+        ),
         published=config.rule == "published",
         node_limit=int(config.nodes_per_agent * count),
     )
