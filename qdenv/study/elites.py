@@ -252,10 +252,12 @@ def grow_frames(
     """Grow an elite of a run once more and keep what it drew on the way (Figure 6).
 
     Return the multiples of `every` and the last step, and the unrepaired layout (int8 [H, W]) after
-    each of these numbers of steps. Raises InputError if `every` is not positive.
+    each of these numbers of steps. Raises InputError if `every` is not positive, or no elite drew
+    the layout.
     """
     check_range("every", every, PositiveInt)
-    assert grown.elite is not None  # it drew the layout
+    if grown.elite is None:
+        raise InputError("a tiled layout did not grow: it has no frames")
     steps = sorted({*range(0, grown.steps, every), grown.steps})
     return steps, grow_series(run.config.evaluation, grown.domain, grown.elite.solution, steps)
 

@@ -1,8 +1,9 @@
 """PIBT in compiled host code, agent by agent as the algorithm is printed, and its rules.
 
-The rules are the conditions in function PIBT of algorithm 1 (`planner`) in plain operators: numba
-compiles them here, `jax.numpy` traces them in `planner.rollout`, whose result is the same bit for
-bit. Every argument of theirs is one integer, `NOBODY` where there is none.
+The rules are the conditions in function PIBT of algorithm 1 of the article that `planner` names, in
+plain operators: numba compiles them here, `jax.numpy` traces them in `planner.rollout`, whose
+result is the same bit for bit. Every argument of theirs is one integer, `NOBODY` where there is
+none.
 """
 
 from typing import NamedTuple, TypeVar
