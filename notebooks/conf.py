@@ -100,7 +100,8 @@ def write_python() -> str:
         "layouts, S simulations, H rows, W columns, K kinds of tile, P parameters of a generator, "
         "A agents, T timesteps, M measures, C cells of an archive. A cell is row * W + column. "
         "Places of `out` by default are those of commands: in Python `train`, `guide`, `improve`, "
-        "`train_agent` and `plot` have one, and others write nothing unless it is named.",
+        "`train_agent`, `convert_agent`, `plot` and the frames of `generate` have one, and others "
+        "write nothing unless it is named.",
         "",
     ]
     parts = {f"qdenv.{home}": (home, names) for home, names in homes.items()}

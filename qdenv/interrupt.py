@@ -23,6 +23,7 @@ _LOOK_SECONDS = 0.05
 
 unfinished: set[str] = set()  # files under way, which are deleted
 reserved: set[str] = set()  # names of results to come, which are deleted while they are empty
+_anew: list[str] = [""]  # how to begin this program again; "" in a notebook
 _way: list[str] = [""]  # how to go on
 _unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
 undisturbed = threading.Lock()  # held by whoever changes what would be saved
@@ -36,7 +37,7 @@ def watch(program: str = "qdenv") -> None:
     """
     if signal.getsignal(signal.SIGINT) is _ignore:
         return
-    advise(f"`{program} {shlex.join(sys.argv[1:])}` starts over")
+    _anew[0] = f"`{program} {shlex.join(sys.argv[1:])}` starts over"
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.
@@ -116,15 +117,24 @@ def discard_unfinished() -> None:
 
 
 def advise(way: str) -> None:
-    """Set how to go on after an interruption, like "`qdenv resume runs/first` goes on"."""
-    _way[0] = way
+    """Set how to go on after an interruption, like "`qdenv resume runs/first` goes on".
+
+    In a program the first call counts: later ones are about a part of the same work.
+    """
+    if not (_anew[0] and _way[0]):
+        _way[0] = way
+
+
+def advise_resume(folder: os.PathLike[str]) -> None:
+    """Advise `qdenv resume` with the folder of a run."""
+    advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
 
 
 def advice() -> str:
-    """Return how to go on after an interruption, as `advise` has set it."""
-    return _way[0]
+    """Return how to go on after an interruption; "" if nothing is known."""
+    return _way[0] or _anew[0]
 
 
 def last_words() -> str:
     """Return the line that an interrupted command ends with."""
-    return f"qdenv: stopped; {_way[0]}" if _way[0] else "qdenv: stopped"
+    return f"qdenv: stopped; {advice()}" if advice() else "qdenv: stopped"

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import qdenv
+from qdenv import interrupt
 from qdenv.cli.main import run
 from qdenv.domains.base import make_domain
 from qdenv.repairs.audit import audit
@@ -150,16 +151,19 @@ def test_an_hour_of_an_engineer(done, plan, folder):
 
 
 def test_interrupted_and_resumed_with_other_workers_it_ends_the_same(
-    done, plan, tmp_path, monkeypatch
+    done, plan, tmp_path, monkeypatch, capsys
 ):
-    def interrupt(*_):
+    def stop(*_):
         raise KeyboardInterrupt
 
     folder = tmp_path / "threads"
     line = ["improve", str(plan), "--evaluations", "128", *SHORT, "--out", str(folder)]
     with monkeypatch.context() as patch:
-        patch.setattr(studies, "judge", interrupt)
+        patch.setattr(studies, "judge", stop)
+        patch.setattr(interrupt, "_anew", ["`qdenv improve` starts over"])  # as in a program
+        patch.setattr(interrupt, "_way", [""])
         assert run([*line, "--executor", "threads", "--workers", "2"]) == 130
+    assert capsys.readouterr().err.endswith(f"stopped; `qdenv resume {folder}` goes on\n")
     assert not (folder / "improve.csv").exists()
     assert run(["resume", str(folder)]) == 0
     for name in ("improve.csv", "a_new_floor.txt", "a_new_floor.toml"):

@@ -22,6 +22,7 @@ watch()
 sys.argv = ["qdenv", "simulate", "a plan.txt"]
 if {advice!r}:
     advise({advice!r})
+    advise("`qdenv resume runs/a/part` goes on")
 import numba
 from pathlib import Path
 from qdenv.io.files import write_atomically

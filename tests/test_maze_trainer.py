@@ -14,8 +14,10 @@ import optax
 import pytest
 
 from qdenv.agent import levels, ppo
+from qdenv.agent import train as training
 from qdenv.agent.settings import Method, TrainConfig
 from qdenv.agent.train import choose, load_state, save_weights, start, train_agent, update
+from qdenv.interrupt import advice
 from qdenv.simulation.maze import policy
 from qdenv.simulation.maze.policy import Memory, draw_weights, load_weights
 from qdenv.simulation.maze.world import GOAL, WALL
@@ -281,9 +283,13 @@ def test_a_run_may_change_its_method(method):
     )
 
 
-def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path):
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path, monkeypatch):
     config = replace(CONFIG, average=1)  # for a run in parts has more lines to take the mean of
-    whole = np.load(train_agent(config, tmp_path / "whole", report_every=2))
+    advised = []
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "choose", lambda *args: advised.append(advice()) or choose(*args))
+        whole = np.load(train_agent(config, tmp_path / "whole", report_every=2))
+    assert advised == [f"`qdenv resume {tmp_path / 'whole'}` goes on"] * 2  # in the exams
     part = tmp_path / "part"
     train_agent(config, part, report_every=2, cpu_seconds=0)
     assert len((part / "curve.jsonl").read_text().splitlines()) == 1

@@ -240,7 +240,7 @@ class Domain:
         """
         tasks = self.simulator.tasks
         if tasks is None:
-            raise InputError(f"no fleet drives in {self.name}: there is no traffic to simulate")
+            raise InputError(f"no fleet drives in {self.name}: name another, like --domain map")
         return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
 
     def mark_cells(self, layout: np.ndarray) -> dict[str, tuple[int, int]]:

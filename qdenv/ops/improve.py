@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.domains.hall import GENERATED, BuiltConfig
-from qdenv.interrupt import advise
+from qdenv.interrupt import advise_resume
 from qdenv.io.files import damaged, locked, write_csv, write_json
 from qdenv.io.formats import holds
 from qdenv.io.layouts import ENDINGS
@@ -150,7 +149,7 @@ def improve_folder(
     with locked(folder):  # nothing is written through a link either
         domain, found, lanes = make_domain(config.domain), {}, None
         plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
-        advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
+        advise_resume(folder)
         for section, (title, _) in studies.SECTIONS.items():
             if section == "lanes" and not PLANNERS.make(config.fleet.planner).reads_costs:
                 say(f"{title}: the planner knows no costs of moves, so none are searched")
@@ -164,7 +163,6 @@ def improve_folder(
             if section == "lanes":
                 lanes, _ = find_guidance(RunDirectory.open(folder / "lanes"))
             found[section] = studies.list_candidates(plan, folder, section, lanes)
-        advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
         with Bar("judging") as bar:
             judged = studies.judge(plan, found, config, bar)
         return _finish(folder, plan, config, judged)

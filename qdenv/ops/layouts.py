@@ -381,7 +381,7 @@ def make_environment(
         the environment, see `reset` and `step`.
 
     Raises:
-        InputError: no fleet drives in this domain, or not on a layout, or their sizes differ.
+        InputError: no fleet can work on a layout, tasks arrive at a rate, or sizes differ.
     """
     from qdenv.simulation.mapf.environment import Environment, observe_plainly  # imports jax
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 from annotated_types import Interval
 from tyro.conf import Positional, arg
 
-from qdenv import interrupt
 from qdenv.agent.settings import TrainConfig, refuse_second_training
 from qdenv.io.files import write_csv
 from qdenv.io.records import read_json
@@ -44,7 +42,7 @@ def train_agent(
 
     Args:
         config: the run.
-        path: folder of the run: log, checkpoint, agent.npz, and the agents it averages in agents/.
+        path: folder of the run: log, checkpoint, agent.npz, and in agents/ that of each line.
         resume: continue from the folder's checkpoint; `qdenv resume FOLDER` does the same.
         report_every: updates between two lines of the log.
         cpu_seconds: stop after about this many CPU seconds, ready to be resumed.
@@ -67,15 +65,11 @@ def train_agent(
         raise InputError(f"{path}: more steps are configured already: give as many, or more")
     from qdenv.agent.train import train_agent as train  # imports jax and optax
 
-    go_on = f"`qdenv resume {shlex.quote(str(path))}` goes on"
-    if resume:  # a new run has nothing to resume until its first checkpoint
-        interrupt.advise(go_on)
     with Bar("training the agent", total=1) as bar:
 
         def show(done: int, row: dict[str, Any] | None) -> None:
             bar("training the agent", done / config.updates)
-            if row:  # a checkpoint was written before
-                interrupt.advise(go_on)
+            if row:
                 exams = [
                     f"{row[name]:.0%} (mean {row[f'mean_{name}']:.0%}) of {name[5:]} walls"
                     for name in row

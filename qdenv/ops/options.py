@@ -171,12 +171,13 @@ class StudyOptions(FleetOptions, total=False):
 
 
 class GuideOptions(RunOptions, total=False):
-    """A search of costs, with runs as `RunOptions` says; by PIBT unless a planner is named."""
+    """A search of costs by runs of `RunOptions`, by PIBT unless planner or effort is named."""
 
     # planner of the paths, by its registered name or its settings, like `PbsConfig()`
     planner: Annotated[Any, arg(name="", constructor=PibtOptions)]
     # search 30 numbers of smooth costs for floors of any size, the cost of each move, or weights of
-    # a network that updates costs; by default smooth, or costs if it begins at others than these
+    # a network that updates costs; by default smooth, or costs if it begins at costs of a file,
+    # traffic-flow or human-cost
     method: Literal["smooth", "costs", "update"]
     # number of costs of moves to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt

@@ -53,7 +53,8 @@ def simulate(
         **fleet: see `FleetOptions`.
 
     Returns:
-        ``mean_throughput`` in tasks per timestep, and more; `--json` adds the audit and a verdict.
+        ``mean_throughput`` of the runs that do not congest, in tasks per timestep, None if all do;
+        counts of runs and agents; with `audit` and `verdict` what these find.
 
     Raises:
         InputError: a name is unknown, or the fleet cannot work on this layout.

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import math
-import shlex
 import time
 from collections.abc import Callable
 from functools import partial, wraps
@@ -16,7 +15,7 @@ import numpy as np
 
 from qdenv.devices import check_memory
 from qdenv.guidance import unscaled_costs
-from qdenv.interrupt import advise, save_first, undisturbed
+from qdenv.interrupt import advise_resume, save_first, undisturbed
 from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
@@ -100,7 +99,7 @@ def _run(
     algorithm, pipeline = experiment.algorithm, experiment.pipeline
     batch, settings = algorithm.batch_size, experiment.settings(config)
     total = -(-config.evaluations // batch)
-    advise(f"`qdenv resume {shlex.quote(str(run.path))}` goes on")
+    advise_resume(run.path)
     bar = Bar("", total * batch, progress, unit="eval")
     announced = partial(_announced, bar)
     parts = {"grow": "generator and repair", "simulate": "simulator", "score": "score"}

@@ -68,7 +68,9 @@ def parse_counts(agents: int | str | Sequence[int] | None) -> tuple[int, ...]:
     except (ValueError, TypeError):
         raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
     if not counts or min(counts) < 1:
-        raise InputError(f"agents {text!r}: give at least one number, all of them above zero")
+        raise InputError(
+            f"agents {text!r}: must be above zero, ranges from few to many, as in 50:400:50"
+        )
     if len(counts) > _MOST_COUNTS:
         cure = "choose a larger step, as in 50:400:50"
         raise InputError(f"agents {text!r} are more than {_MOST_COUNTS} numbers: {cure}")
@@ -184,7 +186,7 @@ def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> Task
     Raises InputError if no fleet drives in this domain, or that many do not fit the layout.
     """
     if tasks is None:
-        raise InputError("no fleet drives in this domain: there is no traffic to simulate")
+        raise InputError("no fleet drives in this domain: name another, like --domain map")
     check_playable(layout, tasks, agents)
     return tasks
 

@@ -73,8 +73,8 @@ class Timestep(NamedTuple):
     observation: Any  # what the environment's `observe` made of the state
     reward: jax.Array  # float32 [A], tasks that each robot finished, 0 or 1
     refused: jax.Array  # bool [A], the robot's move became a wait
-    # bool, the horizon is reached; steps beyond it are possible, unless a new run began: then the
-    # observation is its first, all else that of the step which ended the run before
+    # bool, the run ended with this step; with `auto_reset` the observation is the next run's first,
+    # all else the ended run's; without, steps beyond it are possible
     last: jax.Array
 
 

@@ -92,8 +92,8 @@ class AgentState(NamedTuple):
     previous: jax.Array
     distance: jax.Array  # [rows, H' * W'], steps from every cell to some goals, see `distance_type`
     row: jax.Array  # int32 [2, A], the rows of `distance` that belong to `goal`
-    # int32 [A], which of the two goals the agent heads for, 1 while it is idle: both are one cell
-    # then, which it need not leave and come back to
+    # int32 [A], which of the two goals the agent heads for; 1 while it is idle, when both are one
+    # cell, where it may stay
     leg: jax.Array | int = 0
 
 

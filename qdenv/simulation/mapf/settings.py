@@ -72,7 +72,7 @@ class FleetConfig(Ranged):
     # number of robots, or the largest number if `simulate` takes fewer
     agents: PositiveInt = 200
     timesteps: PositiveInt = 1000  # length of a simulation, T in the paper
-    # timesteps planned ahead, at most what the planner can do; at least the horizon has no conflict
+    # timesteps planned ahead, up to the planner's limit; the first `horizon` are without conflicts
     window: PositiveInt = 10
     horizon: PositiveInt = 5  # timesteps driven before planning again, the replanning period
     # settings record of the planner; its type says which one of `PLANNERS`
