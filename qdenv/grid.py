@@ -77,10 +77,8 @@ def parse(rows: Sequence[str], tiles: str, known: str = "") -> np.ndarray:
     width = len(rows[0])
     for index, row in enumerate(rows):
         if len(row) != width:
-            raise InputError(
-                f"row {index} of the layout has {len(row)} tiles, row 0 has {width}: "
-                "make all rows equally long"
-            )
+            longer = f"row {index} of the layout has {len(row)} tiles, row 0 has {width}"
+            raise InputError(f"{longer}: make all rows equally long")
         for column, symbol in enumerate(row):
             if symbol not in tiles:
                 known = known or f"this domain knows {' '.join(map(repr, tiles))}"
@@ -107,10 +105,8 @@ def rectangle(text: str, shape: tuple[int, ...]) -> tuple[slice, slice] | None:
     ends = [int(one or usual) for one, usual in zip(found.groups(), whole, strict=True)]
     top, bottom, left, right = ends
     if not (top < bottom <= shape[0] and left < right <= shape[1]):
-        raise InputError(
-            f"{text}: rows FIRST:END up to {shape[0]} and columns up to {shape[1]}, counted from "
-            "0, the end left out"
-        )
+        form = f"rows FIRST:END up to {shape[0]} and columns up to {shape[1]}"
+        raise InputError(f"{text}: {form}, counted from 0, the end left out")
     return slice(top, bottom), slice(left, right)
 
 

@@ -43,10 +43,7 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
     """
     costs, free = np.asarray(costs, float), np.asarray(traversable, bool)
     if costs.shape != (NUM_MOVES, *free.shape):
-        raise InputError(
-            f"costs of moves have the shape {NUM_MOVES} x rows x columns, here "
-            f"{(NUM_MOVES, *free.shape)}, not {costs.shape}"
-        )
+        raise InputError(f"costs of moves must be {(NUM_MOVES, *free.shape)}, not {costs.shape}")
     moves = existing_moves(free)
     if not (costs[moves] > 0).all() or np.isinf(costs[0][free]).any():
         raise InputError("costs of moves are above zero, and finite for waiting")
@@ -137,10 +134,8 @@ def _check_connected(fixed: np.ndarray, free: np.ndarray) -> None:
     labels = label[free.reshape(-1)]
     if (labels != labels[0]).any():
         cell = np.flatnonzero(free.reshape(-1))[np.argmax(labels != labels[0])]
-        raise InputError(
-            f"one-way lanes cut off row {cell // free.shape[1]}, column {cell % free.shape[1]}: "
-            "give a way there and a way back"
-        )
+        place = "row {}, column {}".format(*divmod(cell, free.shape[1]))
+        raise InputError(f"one-way lanes cut off {place}: give a way there and a way back")
 
 
 def crisscross(traversable: np.ndarray, width: int = 1) -> np.ndarray:

@@ -37,7 +37,7 @@ def watch(program: str = "qdenv") -> None:
     """
     if signal.getsignal(signal.SIGINT) is _ignore:
         return
-    _anew[0] = f"`{program} {shlex.join(sys.argv[1:])}` starts over"
+    _anew[0] = f"`{program} {shlex.join(sys.argv[1:])}` runs it again"
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.
@@ -123,11 +123,6 @@ def advise(way: str) -> None:
     """
     if not (_anew[0] and _way[0]):
         _way[0] = way
-
-
-def advise_resume(folder: os.PathLike[str]) -> None:
-    """Advise `qdenv resume` with the folder of a run."""
-    advise(f"`qdenv resume {shlex.quote(str(folder))}` goes on")
 
 
 def advice() -> str:

@@ -82,10 +82,8 @@ class Registry:
                 continue
             if type(config) is known:
                 return name
-        raise InputError(
-            f"no {self._what} is registered for {type(config).__name__}: choose from "
-            f"{', '.join(self.names())}"
-        )
+        own = f"{type(config).__name__}: choose from {', '.join(self.names())}"
+        raise InputError(f"no {self._what} is registered for {own}")
 
     def make(self, config: Any, *details: Any) -> Any:
         """Make what `config` chooses; `details` follow the settings as arguments of its maker."""
@@ -110,7 +108,6 @@ class Registry:
         try:
             return getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError) as error:
-            raise InputError(
-                f"{self._what} {name!r} cannot be loaded from {module}:{attribute} ({error}): "
-                "mend or uninstall the package it comes from"
-            ) from error
+            cannot = f"{self._what} {name!r} cannot be loaded from {module}:{attribute} ({error})"
+            cure = "mend or uninstall the package it comes from"
+            raise InputError(f"{cannot}: {cure}") from error

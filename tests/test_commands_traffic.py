@@ -143,6 +143,8 @@ def test_sweep_says_where_the_peak_is_and_how_many_are_worth_it(plans, capsys):
     assert f"lane: peak {facts['peak']['throughput']:.3f} tasks per timestep at 4 agents\n" in said
     assert "agents worth having: up to 4, " in said
     assert [row["agents"] for row in facts["rows"]] == [2, 4, 14]
+    assert run(["sweep", "lane.json", "--agents", "2", *QUICK]) == 0
+    assert "peak" not in capsys.readouterr().out  # one number shows none
 
 
 def test_throughput_that_falls_with_time_asks_for_more_timesteps(plans, capsys, monkeypatch):

@@ -131,7 +131,7 @@ def test_without_a_plan_a_hall_has_no_stations(line, capsys, folder):
     capsys.readouterr()
     assert run(line.split()) == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "come from a plan: give --plan FILE" in said
+    assert said.count("\n") == 1 and "come from a plan: `train` and `generate` take --plan" in said
 
 
 def test_a_tiled_hall_repeats_walls_and_stations(tmp_path):

@@ -115,7 +115,7 @@ def drawn(tmp_path):
 
 
 def test_a_drawing_of_cad_is_read_by_the_layers_named_beside_it(drawn, capsys):
-    with pytest.raises(InputError, match="beside it says what its layers are"):
+    with pytest.raises(InputError, match="beside it with its layers, like layers"):
         read_drawing(drawn)
     layers = 'layers = {HALL = ".", RACKS = "@", columns = "#"}\n'
     drawn.with_suffix(".toml").write_text(f"cell = 2.0\n{layers}")

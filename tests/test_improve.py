@@ -100,6 +100,31 @@ def test_a_folder_of_other_settings_or_files_is_refused(done, plan):
         qdenv.improve(plan, path=plan.parent, evaluations=128, **QUICK)
 
 
+def test_impossible_rules_are_refused_before_anything_is_written(plan, tmp_path):
+    with pytest.raises(InputError, match="no layout obeys all rules: the number of shelves must"):
+        qdenv.improve(plan, path=tmp_path / "new", evaluations=1, shelves="900", **QUICK)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_whose_format_cannot_hold_its_tiles_becomes_json(tmp_path, monkeypatch):
+    monkeypatch.setattr(studies, "SECTIONS", {})
+    floor = "map\nE...\n.@S.\n.@S.\nE...\n"  # a map of the League of Robot Runners
+    (tmp_path / "league.map").write_text(f"type octile\nheight 4\nwidth 4\n{floor}")
+    new = tmp_path / "new"
+    qdenv.improve(tmp_path / "league.map", 2, new, evaluations=1, **QUICK)
+    assert json.loads((new / "improve.json").read_text())["ending"] == ".json"
+
+
+def test_only_the_searches_of_an_improvement_go_on_with_it(done):
+    other = done[1] / "another"
+    other.mkdir()
+    with pytest.raises(InputError, match=r"another: no run here \(config.json is missing\)"):
+        qdenv.resume(other)
+    other.rmdir()
+    with pytest.raises(InputError, match=r"no run here \(config.json is missing\); its folders f"):
+        qdenv.RunDirectory.open(done[1])
+
+
 def test_costs_of_moves_that_are_stated_by_name_are_part_of_the_plan(plan, tmp_path, monkeypatch):
     monkeypatch.setattr(studies, "SECTIONS", {})
     qdenv.improve(plan, path=tmp_path / "lanes", evaluations=1, guidance="crisscross", **QUICK)
@@ -160,7 +185,7 @@ def test_interrupted_and_resumed_with_other_workers_it_ends_the_same(
     line = ["improve", str(plan), "--evaluations", "128", *SHORT, "--out", str(folder)]
     with monkeypatch.context() as patch:
         patch.setattr(studies, "judge", stop)
-        patch.setattr(interrupt, "_anew", ["`qdenv improve` starts over"])  # as in a program
+        patch.setattr(interrupt, "_anew", ["`qdenv improve` runs it again"])  # as in a program
         patch.setattr(interrupt, "_way", [""])
         assert run([*line, "--executor", "threads", "--workers", "2"]) == 130
     assert capsys.readouterr().err.endswith(f"stopped; `qdenv resume {folder}` goes on\n")

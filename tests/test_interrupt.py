@@ -75,7 +75,7 @@ def test_a_command_ends_at_any_moment_and_says_how_to_begin_anew(tmp_path, momen
     work.send_signal(signal.SIGINT)
     assert work.wait(timeout=60) == 130
     last = re.findall("^qdenv: .*", log.read_text(), re.MULTILINE)[-1]
-    over = "qdenv: stopped; `qdenv train quick --out 'a run'` starts over"
+    over = "qdenv: stopped; `qdenv train quick --out 'a run'` runs it again"
     assert last in (over, "qdenv: stopped; `qdenv resume 'a run'` goes on")
     assert "Traceback" not in log.read_text()
 
@@ -122,7 +122,7 @@ def test_a_file_whose_name_is_no_text_does_not_prevent_the_end(tmp_path):
     work.send_signal(signal.SIGINT)
     _, said = work.communicate(timeout=60)
     assert work.returncode == 130
-    assert said.splitlines()[-1] == "qdenv: stopped; `qdenv '\udcff.json'` starts over"
+    assert said.splitlines()[-1] == "qdenv: stopped; `qdenv '\udcff.json'` runs it again"
 
 
 RUN = """

@@ -97,7 +97,7 @@ def test_a_climb_stops_at_the_first_drop(layouts, monkeypatch):
 def test_numbers_that_do_not_fit_are_left_out(layouts):
     way = climb("human", layouts["human"], Trial(TASKS, CONFIG, (12, 60, 5000), (0,)))
     assert {found.agents for found in way} <= {12, 60}
-    with pytest.raises(InputError, match="human: 500 agents do not fit"):
+    with pytest.raises(InputError, match="human: 500 agents need as many free cells"):
         climb("human", layouts["human"], Trial(TASKS, CONFIG, (500,), (0,)))
     with pytest.raises(InputError, match=r"human: .*fewer agents"):
         compare(layouts, Trial(TASKS, CONFIG, (500,), (0,)))

@@ -164,7 +164,9 @@ def draw_mazes(
             kept.append(Drawn(layout, *map(int, course)))
             progress("drawing random mazes", len(kept) / count, "")
     if len(kept) < count:
-        raise InputError(f"only {len(kept)} of {tries} random mazes have such a path: draw fewer")
+        raise InputError(
+            f"{len(kept)} of {tries} random mazes have such a path: draw fewer or none"
+        )
     return kept
 
 

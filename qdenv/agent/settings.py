@@ -70,9 +70,7 @@ class LevelConfig(Ranged):
         """Refuse sizes that make no mazes."""
         super().__post_init__()
         if self.smallest and not 2 <= self.smallest <= self.size:
-            raise InputError(
-                f"sizes of mazes, {self.smallest} to {self.size}: give 2 or more, in order"
-            )
+            raise InputError(f"mazes of {self.smallest} to {self.size}: give 2 or more, in order")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from qdenv.agent.evaluate import default_horizon, draw_mazes, run_batch
 from qdenv.agent.ppo import Batch, EnvState, Rewards, advantages, collect, learn, reset_env, unroll
 from qdenv.agent.settings import TrainConfig, refuse_second_training
 from qdenv.devices import check_memory
-from qdenv.interrupt import advise_resume
+from qdenv.interrupt import advise
 from qdenv.io.arrays import read_state, write_arrays, write_state
 from qdenv.io.files import locked, write_json
 from qdenv.simulation.maze import policy
@@ -249,7 +250,7 @@ def train_agent(
         checkpoint = out / "checkpoint.npz"
         if resume:
             state, used = load_state(checkpoint, state)
-            advise_resume(out)
+            advise(f"`qdenv resume {quote(str(out))}` goes on")
         else:
             refuse_second_training(out)
         write_json(out / "config.json", asdict(config))
@@ -282,7 +283,9 @@ def train_agent(
             save_weights(state.weights, out / "agents" / f"{done:06}.npz")
             leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
             write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
-            advise_resume(out)  # not before: there is nothing to resume
+            advise(
+                f"`qdenv resume {quote(str(out))}` goes on"
+            )  # not before: there is nothing to resume
             row |= choose(out, config.average, examine)
             with (out / "curve.jsonl").open("a") as log:
                 log.write(json.dumps(row) + "\n")

@@ -81,8 +81,11 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
                 spec, instantiate=lambda planner=usual, **stated: (planner, stated)
             )
         if kind is args.TaskOptions:
-            known = chosen.domain in (None, *DOMAINS.names())  # the command refuses what is not
-            return _options(_task_settings(_domain_of(chosen, rest)) if known else ())
+            if chosen.domain not in (None, *DOMAINS.names()):  # the command refuses it
+                return _options(())
+            domain = _domain_of(chosen, rest)
+            stated = [one for one in _settings(domain.config) if one[0] in domain.task_settings]
+            return _options([*stated, *_demand(domain)])
         if get_origin(kind) is not dict or get_origin(keywords[0]) is not Annotated:
             return None
         value, mark, *_ = get_args(keywords[0])
@@ -241,12 +244,6 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
         listed.append((name, number, about + ", or 1000:1200" * ranged))
     listed += [one for one in _settings(domain.config) if one[0] in domain.rule_settings]
     return _options(listed)
-
-
-def _task_settings(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
-    """List the settings of a domain that say what robots do at their goals, for `_options`."""
-    yield from (one for one in _settings(domain.config) if one[0] in domain.task_settings)
-    yield from _demand(domain)
 
 
 def _demand(domain: Domain) -> Iterator[tuple[str, Any, Any]]:

@@ -240,7 +240,7 @@ class Domain:
         """
         tasks = self.simulator.tasks
         if tasks is None:
-            raise InputError(f"no fleet drives in {self.name}: name another, like --domain map")
+            raise InputError(f"no fleet drives in {self.name}: maps of . and # need --domain map")
         return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
 
     def mark_cells(self, layout: np.ndarray) -> dict[str, tuple[int, int]]:
@@ -290,7 +290,7 @@ class Domain:
         if self.stays and not self.config.keep:
             rows, cols = self.shape
             where = f"walls and stations of a {self.name} of {rows} x {cols}"
-            raise InputError(f"{where} come from a plan: give --plan FILE")
+            raise InputError(f"{where} come from a plan: `train` and `generate` take --plan FILE")
 
     def known_size(self, rows: int, cols: int) -> KnownSize | None:
         """Return the known numbers of a size of `rows` and `cols`; None if they scale."""
@@ -378,7 +378,5 @@ def check_shape(keep: Sequence[str], shape: tuple[int, int]) -> None:
     """Refuse a drawing of cells to keep that is not of the layouts' shape."""
     rows, cols = len(keep), max(map(len, keep), default=0)
     if (rows, cols) != shape or any(len(row) != cols for row in keep):
-        raise InputError(
-            f"the drawing of cells to keep has {rows} x {cols} cells, the layout "
-            f"{shape[0]} x {shape[1]}: give both the same size"
-        )
+        size = "{} x {}".format(*shape)
+        raise InputError(f"the drawing of cells to keep is {rows} x {cols}, the layout {size}")

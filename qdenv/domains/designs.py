@@ -27,9 +27,7 @@ def shelf_blocks(rows: int, cols: int) -> list[str]:
     """
     lines = (rows - 1) // _BAND
     if lines < 1 or cols < 1:
-        raise InputError(
-            f"an area of {rows} x {cols} has no room for a block of shelves: give 5 rows or more"
-        )
+        raise InputError(f"{rows} x {cols} has no room for a block of shelves: give 5 rows or more")
     picture = np.full((rows, cols), ".")
     blocks = np.arange(cols) % (_SHELVES + 1) < _SHELVES
     for top in range(1, _BAND * lines, _BAND):
@@ -57,10 +55,8 @@ def stations(rows: int, cols: int, ratio: tuple[int, ...]) -> list[str]:
     places = picture == "s"
     numbers = apportion(int(places.sum()), tuple(max(1, one) for one in ratio))
     if 0 in numbers:
-        raise InputError(
-            f"a factory of {rows} x {cols} holds {places.sum()} stations by hand, too few for "
-            "every kind: give a larger size"
-        )
+        few = f"{places.sum()} stations by hand, too few for every kind"
+        raise InputError(f"a factory of {rows} x {cols} holds {few}: give a larger size")
     kinds = "".join(str(kind) * number for kind, number in enumerate(numbers))
     if (rows, cols) == _SIZE_S and sorted(kinds) == sorted("".join(_BY_LINE)):
         kinds = "".join(_BY_LINE)

@@ -87,11 +87,11 @@ def read_dxf(path: Path) -> Drawing:
         facts = dict(json.loads(dict(document.header.custom_vars.properties).get(_FACTS, "{}")))
         scale = ezdxf.units.conversion_factor(document.units or _METRES, _METRES)
         shapes, others = _shapes(document.modelspace(), scale)
-    beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)}
+    beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)[0]}
     layers, side = facts.get("layers"), facts.get("cell")
     if not isinstance(layers, dict) or not side:
-        form = 'the length of a cell in metres: layers = {RACKS = "@"}, cell = 1.2'
-        raise damaged(path, f"{beside.name} beside it says what its layers are, and {form}")
+        form = 'layers = {RACKS = "@"}, and on another line the metres of a cell, like cell = 1.2'
+        raise damaged(path, f"write {beside.name} beside it with its layers, like {form}")
     tiles = {str(name).casefold(): str(tile)[:1] for name, tile in layers.items() if tile}
     known = [(tiles[name], points) for name, points in shapes if name in tiles]
     others.update(name for name, _ in shapes if name not in tiles)

@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -75,10 +76,9 @@ def write_atomically(path: Path, content: bytes | Callable[[BinaryIO], object]) 
         os.chmod(temporary, mode)
         os.replace(temporary, path)
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror or error}): free some space or choose "
-            "another place; what was written before is intact"
-        ) from error
+        cure = "free some space or choose another place; what was written before is intact"
+        reason = error.strerror or error
+        raise InputError(f"{path}: cannot be written ({reason}): {cure}") from error
     finally:  # after any error, nothing half written stays
         if temporary is not None:
             with contextlib.suppress(OSError):
@@ -110,9 +110,7 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written ({folder} is a file): choose another place")
     for place in (folder, path) if path.exists() else (folder,):
         if not os.access(place, os.W_OK):
-            raise InputError(
-                f"{path}: cannot be written ({place} is read-only): choose another place"
-            )
+            raise InputError(f"{path}: {place} is read-only: choose another place")
 
 
 def reserve(path: Path, folder: bool = False) -> Path:
@@ -159,9 +157,8 @@ def locked(folder: Path) -> Iterator[None]:
         refuse_links(folder)
         lock.acquire(blocking=False)
     except filelock.Timeout:
-        raise InputError(
-            f"{folder}: another process is at work on this run: wait for it, or end it first"
-        ) from None
+        busy = f"{folder}: another process is at work on this run"
+        raise InputError(f"{busy}: wait for it, or end it first") from None
     except OSError as error:
         raise InputError(f"{folder}: cannot be written to ({error.strerror or error})") from error
     try:
@@ -215,7 +212,8 @@ def refuse_second_run(folder: Path, begun: Sequence[str] = ()) -> None:
         if name in begun or not (path.exists() or path.is_symlink()):
             continue
         if name in RUN_FILES[:2]:
-            raise InputError(f"{folder}: holds a run already; `qdenv resume {folder}` continues it")
+            way = f"`qdenv resume {quote(str(folder))}` continues it, or name a new folder"
+            raise InputError(f"{folder}: holds a run already; {way}")
         raise InputError(f"{path}: a run would replace it: name a new folder")
 
 

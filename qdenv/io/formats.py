@@ -119,9 +119,8 @@ def _find(path: Path, form: str | None, way: str) -> str | None:
             raise InputError(f"{path}: --format says which: {' or '.join(fit)}")
         return fit[0] if fit else None
     if way == "write" and ending not in able[form].endings:
-        raise InputError(
-            f"{path}: {form} needs a name that ends in {' or '.join(able[form].endings)}"
-        )
+        ends = " or ".join(able[form].endings)
+        raise InputError(f"{path}: {form} needs a name that ends in {ends}")
     return form
 
 

@@ -33,10 +33,8 @@ def costs_of(weights: Sequence[float], traversable: np.ndarray) -> np.ndarray:
     exists = np.moveaxis(existing_moves(traversable)[_ORDER], 0, -1)
     free, moves, values = int(traversable.sum()), int(exists.sum()), np.array(weights, float)
     if len(values) not in (1 + moves, free + moves):
-        raise InputError(
-            f"{len(values)} weights are not those of this layout: its {free} free cells have "
-            f"{moves} moves, and 1 or {free} costs of waiting come first"
-        )
+        own = f"{free} free cells have {moves} moves, and 1 or {free} costs of waiting come first"
+        raise InputError(f"{len(values)} weights are not those of this layout: its {own}")
     values[values == _NOT_ALLOWED] = np.inf
     if not (values > 0).all() or np.isinf(values[: len(values) - moves]).any():
         raise InputError("costs of moves are above zero, and finite for waiting")

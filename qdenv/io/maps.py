@@ -187,9 +187,7 @@ def write_lorr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         _write_map(path, rows)
         return lost
     if not drawing.starts or not drawing.tasks:
-        raise InputError(
-            f"{path}: a problem has robots' starts and tasks, here are none: write a .map"
-        )
+        raise InputError(f"{path}: a problem needs robots' starts and tasks: write a .map")
     lists = {".agents": [(start,) for start in drawing.starts], ".tasks": drawing.tasks}
     _write_map(path.with_suffix(".map"), rows)
     for ending, places in lists.items():

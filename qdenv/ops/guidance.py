@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Unpack, get_args
 
 import numpy as np
@@ -119,7 +120,7 @@ def finish_guide(run: RunDirectory, name: str) -> Table:
     plan = Plan(name, run.best.layout, make_domain(config.domain), assumed=False)
     total, done = run.config.evaluations, run.read_metrics()[-1].evaluations
     if done < total:
-        say(f"{done} of {total} evaluations are done: `qdenv resume {shlex.quote(str(run))}`")
+        say(f"{done} of {total} evaluations are done: `qdenv resume {quote(str(run))}`")
     return _show_guidance(plan, costs, config.domain.fleet, run.path, {"judged": judged})
 
 
@@ -128,7 +129,7 @@ def _show_guidance(
 ) -> Table:
     """Write costs (int32 [5, H, W]), draw them, and simulate the plan with and without them."""
     from qdenv.io.layouts import write_layout
-    from qdenv.study.recordings import count_moves, record_fleet
+    from qdenv.study.recordings import MOST_SHOWN, count_moves, record_fleet
     from qdenv.view.guidance import draw_guidance  # imports matplotlib
     from qdenv.view.style import save_figure
 
@@ -137,7 +138,8 @@ def _show_guidance(
     guided = plan._replace(costs=unscaled)
     details = {"domain": domain.name, "agents": fleet.agents}
     write_layout(path / FILE, plan.layout, domain.tiles, domain.meanings, unscaled, **details)
-    moves = count_moves(record_fleet(guided, fleet)[0].positions, plan.layout.shape)
+    shown = replace(fleet, timesteps=min(fleet.timesteps, MOST_SHOWN // fleet.agents))
+    moves = count_moves(record_fleet(guided, shown)[0].positions, plan.layout.shape)
     title = f"{plan.name}, {fleet.agents} agents"
     save_figure(draw_guidance(free, unscaled, moves, title), path / PICTURE)
     most = int(free.sum())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, NamedTuple, Unpack
 
 import numpy as np
@@ -12,21 +13,22 @@ from tyro.conf import arg
 
 from qdenv.domains.base import DOMAINS, make_domain
 from qdenv.domains.hall import GENERATED, BuiltConfig
-from qdenv.interrupt import advise_resume
+from qdenv.interrupt import advise
 from qdenv.io.files import damaged, locked, write_csv, write_json
 from qdenv.io.formats import holds
-from qdenv.io.layouts import ENDINGS
+from qdenv.io.layouts import ENDINGS, endings_for
 from qdenv.io.records import read_json, structured, unstructured
 from qdenv.ops import options as args
 from qdenv.ops.output import Layout, Place, Table, format_table, say
 from qdenv.progress import Bar
+from qdenv.repairs.rules import impossible
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
 from qdenv.simulation.mapf.settings import PLANNERS, describe_planner
 from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.study.plans import read_plan as read_file
-from qdenv.types import InputError
+from qdenv.types import InputError, about
 
 SETTINGS, PLAN = "improve.json", "plan.json"  # in the folder
 ROWS, REPORT = "improve.csv", "report.html"
@@ -94,12 +96,17 @@ def improve(
     options = args.Fleet(given, args.RunOptions)
     plan = options.read_plan(layout)
     agents, timesteps, note = options.usual(plan, agents)
-    fleet_tasks(plan.layout, plan.domain.simulator.tasks, round(1.25 * agents))
-    settings = replace(plan.fitted(rules, keep).config, fleet=options.config(agents, timesteps))
+    with about(f"a quarter more than {agents} robots are simulated, too"):
+        fleet_tasks(plan.layout, plan.domain.simulator.tasks, round(1.25 * agents))
+    fitted = plan.fitted(rules, keep)
+    if fitted.rules and (reason := impossible(fitted.rules())):
+        raise InputError(f"{plan.name}: no layout obeys all rules: {reason}")
+    settings = replace(fitted.config, fleet=options.config(agents, timesteps))
     from qdenv.study.improve import ImproveConfig  # imports the whole chain
 
     ending = Path(args.name_of(layout)).suffix.lower()
-    ending = ending if ending in ENDINGS else ".json"
+    held = endings_for(fitted.tiles, fitted.meanings)
+    ending = ending if ending in ENDINGS and ending in held else ".json"
     config = ImproveConfig(settings, ending, minutes=minutes, evaluations=evaluations, **numbers)
     folder = Path(path) if path else Path("runs") / f"improve-{plan.name}-{agents}"
     _begin(folder, plan, config)
@@ -149,7 +156,7 @@ def improve_folder(
     with locked(folder):  # nothing is written through a link either
         domain, found, lanes = make_domain(config.domain), {}, None
         plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
-        advise_resume(folder)
+        advise(f"`qdenv resume {quote(str(folder))}` goes on")
         for section, (title, _) in studies.SECTIONS.items():
             if section == "lanes" and not PLANNERS.make(config.fleet.planner).reads_costs:
                 say(f"{title}: the planner knows no costs of moves, so none are searched")

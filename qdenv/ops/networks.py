@@ -43,7 +43,8 @@ def train_agent(
     Args:
         config: the run.
         path: folder of the run: log, checkpoint, agent.npz, and in agents/ that of each line.
-        resume: continue from the folder's checkpoint; `qdenv resume FOLDER` does the same.
+        resume: continue from the folder's checkpoint with this `config`; `qdenv resume FOLDER`
+            continues with its own.
         report_every: updates between two lines of the log.
         cpu_seconds: stop after about this many CPU seconds, ready to be resumed.
 
@@ -56,6 +57,7 @@ def train_agent(
     Examples:
         ``qdenv train-agent --out agents/first``
     """
+    path = Path(path)
     if not resume:
         RunDirectory(path).demand_own()
         refuse_second_training(path)

@@ -8,6 +8,7 @@ are marked here (`Mark`, `PlannerOptions`, `TaskOptions`), `qdenv.cli.rules` res
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
@@ -176,8 +177,7 @@ class GuideOptions(RunOptions, total=False):
     # planner of the paths, by its registered name or its settings, like `PbsConfig()`
     planner: Annotated[Any, arg(name="", constructor=PibtOptions)]
     # search 30 numbers of smooth costs for floors of any size, the cost of each move, or weights of
-    # a network that updates costs; by default smooth, or costs if it begins at costs of a file,
-    # traffic-flow or human-cost
+    # a network that updates costs; by default smooth, or costs if it begins at those of a file
     method: Literal["smooth", "costs", "update"]
     # number of costs of moves to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt
@@ -337,7 +337,9 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
     if domain is None:
         names = ", ".join(repr(name) for name in DOMAINS.names())
         raise InputError(f"an array does not say whose layout it is: give domain, one of {names}")
-    found, tiles = find_domain(domain), np.asarray(layout)
+    found, tiles = find_domain(domain), np.empty(0)
+    with contextlib.suppress(ValueError):  # rows of several lengths
+        tiles = np.asarray(layout)
     if tiles.ndim != 2 or tiles.dtype.kind not in "iu" or not tiles.size:
         raise InputError("a layout is an array of integers with rows and columns")
     if tiles.min() < 0 or tiles.max() >= len(found.tiles):

@@ -132,7 +132,7 @@ def replay(
 def _refuse_fleet(agents: object, options: args.Fleet) -> None:
     """Raise InputError where a maze is to have agents or their planner."""
     if agents is not None:
-        raise InputError("one agent walks in a maze: leave --agents out")
+        raise InputError("one agent walks in a maze: leave --agents out, or add --domain map")
     if options.effort or PLANNERS.name_of(options.planner) != OWN or not options.stop:
         raise InputError("mazes have no planner: leave --planner, --effort and --no-stop out")
 

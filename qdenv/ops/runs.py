@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -88,7 +89,7 @@ def plot_one(
         refuse_links(run.path)
     rows = run.read_metrics()
     if not rows:
-        raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
+        raise InputError(f"{run}: nothing is done yet; `qdenv resume {quote(str(run))}` begins")
     from qdenv.view.runs import plot_run  # imports matplotlib
 
     pictures, last = plot_run(run, folder, form, width), rows[-1]
@@ -253,6 +254,8 @@ def series(
         check_size(*shape)
         if shapes.count(shape) > 1:
             raise InputError("size {}x{} twice: name each once".format(*shape))
+    if human and domain.human is None:
+        raise InputError(f"{domain.name} has no hand-made design: leave --human out")
     folder = None if out is None else place_folder(out, "series")
     stated, grown, layouts = [*numbers, *(["steps"] if steps else [])], [], []
     for item in studies.grow_sizes(opened, elite, shapes, steps, numbers, seed, rules):

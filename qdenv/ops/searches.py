@@ -187,7 +187,9 @@ def resume(
     """
     path = run.path if isinstance(run, RunDirectory) else Path(run)
     # The searches of an improvement go on together.
-    improved = [one for one in (path, path.parent) if (one / "improve.json").exists()]
+    whole = path.resolve()
+    whole = whole.parent if whole.name in ("lanes", "racks", "rows", "floor") else path
+    improved = [one for one in (path, whole) if (one / "improve.json").exists()]
     agent = (path / "checkpoint.npz").exists() and (path / "config.json").exists()
     if evaluations is not None and (improved or agent):
         raise InputError(f"{path} is not the run of one search: leave --evaluations out")

@@ -54,10 +54,9 @@ def sweep(
     # Numbers of agents may be stated in any order; the peak is read along ascending ones.
     rows.sort(key=lambda row: row.agents)
     peak, worth = studies.find_peak(rows), studies.find_capacity(rows)
-    say(fleets.describe_peak(peak))
-    say(
-        f"agents worth having: up to {worth}, each brings at least half of what an average one does"
-    )
+    if len(rows) > 1:
+        each = "each brings at least half of what an average one does"
+        say(fleets.describe_peak(peak), f"agents worth having: up to {worth}, {each}")
     return fleets.finish(rows, {"peak": peak._asdict(), "worth_it_up_to": worth})
 
 

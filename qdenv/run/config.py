@@ -297,18 +297,17 @@ def check(config: RunConfig) -> None:
         blocked = sum(bound.low for bound in rules.counts if not drivable & set(bound.tiles))
         free = rows * cols - blocked
         if fleet.agents > free:
-            raise InputError(
-                f"{fleet.agents} agents do not fit: layouts of {rows} x {cols} have at most {free} "
-                f"free cells; start with a quarter of that, {free // 4}"
-            )
+            room = f"layouts of {rows} x {cols} have at most {free} free cells"
+            cure = f"start with a quarter of that, {free // 4}"
+            raise InputError(f"{fleet.agents} agents do not fit: {room}; {cure}")
     for axis in archive_axes(domain.measures, config.archive):
         most = domain.limit_of(axis)
         if (most is not None and axis.low >= most) or axis.high <= 0:
             reach = "have more than 0" if most is None else f"reach 0 to {most:g}"
-            raise InputError(
-                f"axis {axis.name!r} runs from {axis.low:g} to {axis.high:g}, but layouts of "
-                f"{rows} x {cols} {reach}: leave --archive out, or give a range within"
-            )
+            runs = f"axis {axis.name!r} runs from {axis.low:g} to {axis.high:g}"
+            cure = "leave --archive out, or give a range within"
+            cure = f"give more {axis.limit}" if most == 0 else cure
+            raise InputError(f"{runs}, but layouts of {rows} x {cols} {reach}: {cure}")
 
 
 def archive_axes(
@@ -318,10 +317,8 @@ def archive_axes(
     ranges = ranges or [axis[1:4] for axis in measures]
     if len(ranges) != len(measures):
         names = " and ".join(axis.name for axis in measures)
-        raise InputError(
-            f"{len(ranges)} axes given: this archive has {len(measures)}, {names}; write "
-            f"--archive LOW HIGH CELLS for each of them, one after the other"
-        )
+        those = f"{names}; write --archive LOW HIGH CELLS for each of them, one after the other"
+        raise InputError(f"{len(ranges)} axes given: this archive has {len(measures)}, {those}")
     axes = tuple(
         axis._replace(low=low, high=high, cells=cells)
         for axis, (low, high, cells) in zip(measures, ranges, strict=True)

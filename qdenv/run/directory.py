@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -136,8 +137,11 @@ class RunDirectory:
         """
         shipped = find(path)
         run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(path))
-        if not (run.path / "config.json").exists():
-            raise InputError(f"{path}: no run here (config.json is missing)")
+        for name in ("config.json", "manifest.json"):
+            if not (run.path / name).exists():
+                inside = ", ".join(sorted(one.parent.name for one in run.path.glob(f"*/{name}")))
+                runs = f"; its folders {inside} are runs" if inside else ""
+                raise InputError(f"{path}: no run here ({name} is missing){runs}")
         # Before the rest, which may be of another form in a newer one.
         path = run.path / "manifest.json"
         schema = structured(read_json(path, dict[str, Any]).get("schema", 0), int, path)
@@ -211,7 +215,7 @@ class RunDirectory:
         """The archive as it was saved last; `InputError` if none was yet, or it is damaged."""
         path = self.path / "archive.npz"
         if not path.exists():
-            hint = f"`qdenv resume {self.path}` goes on"
+            hint = f"`qdenv resume {quote(str(self.path))}` goes on"
             raise InputError(f"{self.path}: no archive was saved yet; {hint}")
         names: dict[str, tuple[int, ...]] = {}  # of cells; "best" is the generator's own
         if self.shipped:
@@ -352,9 +356,10 @@ def find_start(config: RunConfig) -> np.ndarray | None:
             solution = add_channels(solution, kinds, NUM_MOVES, theirs.kernel_sizes, theirs.hidden)
         theirs = GuidedNcaConfig(**vars(theirs) | more)
     if ours != theirs:
-        names = [GENERATORS.name_of(one) for one in (theirs, ours)]
-        raise InputError(
-            f"start {config.start}: its generator ({names[0]}) and this search's ({names[1]}) have "
-            f"other settings: take those of {run}"
-        )
+        drawn = f"start {config.start}: its generator"
+        if type(ours) is not type(theirs):
+            names = [GENERATORS.name_of(one) for one in (theirs, ours)]
+            raise InputError(f"{drawn} is {names[0]}, this search's {names[1]}: leave --start out")
+        other = [name for name, value in vars(theirs).items() if value != getattr(ours, name)]
+        raise InputError(f"{drawn} has another {', '.join(other)}: take those of {run}")
     return solution

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from functools import partial, wraps
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import jax
@@ -15,7 +16,7 @@ import numpy as np
 
 from qdenv.devices import check_memory
 from qdenv.guidance import unscaled_costs
-from qdenv.interrupt import advise_resume, save_first, undisturbed
+from qdenv.interrupt import advise, save_first, undisturbed
 from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
 from qdenv.io.layouts import write_layout
@@ -99,7 +100,7 @@ def _run(
     algorithm, pipeline = experiment.algorithm, experiment.pipeline
     batch, settings = algorithm.batch_size, experiment.settings(config)
     total = -(-config.evaluations // batch)
-    advise_resume(run.path)
+    advise(f"`qdenv resume {quote(str(run.path))}` goes on")
     bar = Bar("", total * batch, progress, unit="eval")
     announced = partial(_announced, bar)
     parts = {"grow": "generator and repair", "simulate": "simulator", "score": "score"}
@@ -228,10 +229,9 @@ class Publisher:
             ]
             write_csv(self._run.path / NOTES, list(self._notes[0]), table)
         if failed.all() and not filled:
-            raise InputError(
-                f"none of {failed.size} layouts could be repaired, the rules leave too little "
-                "room: fewer shelves, narrower aisles or smaller racks may do"
-            )
+            cure = "fewer shelves, narrower aisles or smaller racks may do"
+            none = f"none of {failed.size} layouts could be repaired"
+            raise InputError(f"{none}, the rules leave too little room: {cure}")
         return row
 
     @property

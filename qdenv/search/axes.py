@@ -25,10 +25,8 @@ def check_measures(measures: Sequence[Measure]) -> tuple[Measure, ...]:
     for axis in axes:
         # False for NaN as well.
         if not (-math.inf < axis.low < axis.high < math.inf and axis.cells >= 1):
-            raise InputError(
-                f"axis {axis.name!r}: {axis.low:g} to {axis.high:g} in {axis.cells} cells is "
-                "empty: give LOW < HIGH and at least one cell"
-            )
+            empty = f"{axis.low:g} to {axis.high:g} in {axis.cells} cells is empty"
+            raise InputError(f"axis {axis.name!r}: {empty}: give LOW < HIGH and at least one cell")
     if len(axes) > _MOST_AXES:
         raise InputError(f"an archive of {len(axes)} measures: give {_MOST_AXES} at most")
     if (cells := math.prod(axis.cells for axis in axes)) > _MOST_CELLS:

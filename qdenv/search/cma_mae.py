@@ -98,9 +98,7 @@ def restart_rule(rule: str | int) -> Callable[[jax.Array, jax.Array], jax.Array]
         return lambda accepted, iterations: jnp.zeros_like(accepted, bool)
     if isinstance(rule, int) and not isinstance(rule, bool) and rule > 0:
         return lambda accepted, iterations: jnp.full_like(accepted, iterations % rule == 0, bool)
-    raise InputError(
-        f"unknown restart rule {rule!r}: use no_improvement, basic or a number of iterations"
-    )
+    raise InputError(f"restart rule {rule!r}: use no_improvement, basic or a number of iterations")
 
 
 def make_member(strategy: Any, params: Any) -> tuple[Callable, Callable, Callable, Callable]:

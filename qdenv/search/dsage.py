@@ -45,9 +45,7 @@ def dsage(config: DsageConfig, problem: Problem, x0: Array | None = None) -> Alg
     model = Model(config.surrogate, problem, "dsage")
     batch, size, choices = config.batch, problem.solution_dim, model.encoding.choices
     if choices < 2:
-        raise InputError(
-            "dsage searches tiles, one per parameter: its generator is direct, not an automaton"
-        )
+        raise InputError("dsage searches tiles: its generator is direct, not an automaton")
     if x0 is not None:
         raise InputError("dsage begins with random solutions: leave the start out")
     blocks = blocks_along(problem.measures, config.downsample)

@@ -34,9 +34,7 @@ class Model:
         Raises InputError if solutions are nothing but numbers, or a setting is impossible.
         """
         if problem.encoding is None:
-            raise InputError(
-                f"{name} learns from layouts: the solutions of this problem encode none"
-            )
+            raise InputError(f"{name} learns from layouts: this problem's solutions encode none")
         self.encoding, self._measures = problem.encoding, problem.measures
         self._samples = config.samples
         self.surrogate = Surrogate(config, self.encoding, len(self._measures))

@@ -142,9 +142,8 @@ def grow_elite(
         if shape not in ((None, None), (rows, cols)):
             raise InputError(f"{plan.name} is {rows} x {cols}: leave rows and cols out")
         if domain.generated != trained.generated:
-            raise InputError(
-                f"{run} draws {trained.generated}, and not {domain.generated} as {domain.name} has"
-            )
+            own = f"{domain.name} has {domain.generated}"
+            raise InputError(f"{run} draws {trained.generated}, {own}")
     if steps is None:
         size = trained.known_size(rows, cols)
         own = GENERATORS.make(config.generator, trained.canvas).steps

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from shlex import quote
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -119,7 +120,7 @@ def _group(label: str, runs: Sequence[RunDirectory]) -> Group:
     metrics = [run.read_metrics() for run in runs]
     for run, rows in zip(runs, metrics, strict=True):
         if not rows:
-            raise InputError(f"{run}: nothing is done yet; `qdenv resume {run}` begins")
+            raise InputError(f"{run}: nothing is done yet; `qdenv resume {quote(str(run))}` begins")
     shortest = min(metrics, key=lambda rows: rows[-1].evaluations)
     evaluations = np.array([row.evaluations for row in shortest])
     # Of each run the last row that it had written by then: batches may differ.

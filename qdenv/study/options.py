@@ -68,9 +68,7 @@ def parse_counts(agents: int | str | Sequence[int] | None) -> tuple[int, ...]:
     except (ValueError, TypeError):
         raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
     if not counts or min(counts) < 1:
-        raise InputError(
-            f"agents {text!r}: must be above zero, ranges from few to many, as in 50:400:50"
-        )
+        raise InputError(f"agents {text!r}: must be above zero, and ranges from few to many")
     if len(counts) > _MOST_COUNTS:
         cure = "choose a larger step, as in 50:400:50"
         raise InputError(f"agents {text!r} are more than {_MOST_COUNTS} numbers: {cure}")
@@ -155,10 +153,9 @@ def _read_cells(rows: Sequence[str], domain: Domain, symbols: np.ndarray | None)
         )
     if symbols is None:
         for row, column in np.argwhere(drawn == SAME):
-            raise InputError(
-                f"row {row}, column {column}: {SAME!r} stands for the plan's tile, and no "
-                "plan is given: add --plan FILE, or draw the tile itself"
-            )
+            none = f"{SAME!r} stands for the plan's tile, and no plan is given"
+            cure = "add --plan FILE, or draw the tile itself"
+            raise InputError(f"row {row}, column {column}: {none}: {cure}")
         return drawn
     for row, column in np.argwhere((drawn != FREE) & (drawn != SAME) & (drawn != symbols)):
         raise InputError(
@@ -186,7 +183,7 @@ def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> Task
     Raises InputError if no fleet drives in this domain, or that many do not fit the layout.
     """
     if tasks is None:
-        raise InputError("no fleet drives in this domain: name another, like --domain map")
+        raise InputError("no fleet drives in this domain: maps of . and # need --domain map")
     check_playable(layout, tasks, agents)
     return tasks
 

@@ -14,7 +14,7 @@ from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.grid import draw
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.demand import demand_in, read_demand
-from qdenv.io.facts import FACTS, PlanFacts, make_facts
+from qdenv.io.facts import FACTS, PlanFacts, facts_beside, make_facts
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import ENDINGS, Drawing, aliases, read_drawing, to_layout
 from qdenv.io.records import structured
@@ -76,7 +76,7 @@ class Plan(NamedTuple):
             numbers = {"shelves": self.facts.shelves} | dict(numbers or {})
         domain = self.domain.fitted(self.layout, numbers)
         if self.keep:
-            with about(f'{self.name}: its file\'s key "keep"'):
+            with about(f"{self.name}: what its file says must stay"):
                 domain = make_domain(replace(domain.config, keep=self.keep))
         return domain if keep is None else keep_from(keep, domain, self.layout)
 
@@ -101,7 +101,8 @@ def read_plan(path: str | Path, domain: str | None = None, drawing: Drawing | No
     layout = to_layout(rows, path, found.tiles, found.meanings, found.name)
     plan = Plan(Path(path).stem, layout, found, assumed=not name, keep=keep)
     if "facts" in details:
-        plan = _with_facts(plan, make_facts(details["facts"], Path(path)), Path(path))
+        source = facts_beside(Path(path))[1]
+        plan = _with_facts(plan, make_facts(details["facts"], source), source)
         found = plan.domain
     if weights is None or found.simulator.tasks is None:
         return plan

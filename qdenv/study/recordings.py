@@ -175,10 +175,8 @@ def _check_run(agents: int, timesteps: int, seed: int) -> None:
     """Raise InputError if the seed is none, or if the run is too long for a replay."""
     check_range("seed", seed, Seed)
     if agents * timesteps > MOST_SHOWN:
-        raise InputError(
-            f"{agents} agents over {timesteps} timesteps are too much for a browser: replay at "
-            f"most {MOST_SHOWN // agents} timesteps"
-        )
+        long = f"{agents} agents over {timesteps} timesteps are too much for a browser"
+        raise InputError(f"{long}: replay at most {MOST_SHOWN // agents} timesteps")
 
 
 def record_fleet(

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from shlex import quote
 from typing import Any, NamedTuple
 
 import jax
@@ -43,7 +44,7 @@ def read_elites(run: RunDirectory) -> Evaluated:
     """
     archive, domain = run.archive, make_domain(run.config.evaluation.domain)
     if len(archive) < FEWEST:
-        cure = f"continue the run with `qdenv resume {run} --evaluations N`"
+        cure = f"continue the run: `qdenv resume {quote(str(run))}` with --evaluations N"
         cure = "choose a run of your own" if run.shipped else cure
         few = f"a surrogate needs at least {FEWEST} elites, this archive has {len(archive)}"
         raise InputError(f"{run}: {few}: {cure}")

@@ -26,7 +26,7 @@ from qdenv.stats import (
 )
 from qdenv.study.options import fleet_tasks
 from qdenv.study.recordings import fading
-from qdenv.types import Floor, InputError, TaskRule, Traffic, about
+from qdenv.types import Floor, TaskRule, Traffic, about
 
 WORTH = 0.5  # share of what an average agent brings; one that brings less is hardly worth it
 # Agents of the smallest compiled program: a smaller one saves less than it costs to compile.
@@ -164,13 +164,10 @@ def check_climb(name: str, floor: Floor | np.ndarray, trial: Trial) -> list[int]
     Raises InputError if agents cannot work on the layout, or not even the smallest number fits.
     """
     tasks, counts, layout = trial.tasks, trial.counts, Floor.of(floor).layout
-    free = layout.size if tasks is None else of_tiles(layout, tasks.traversable, tasks.tiles).sum()
-    fitting = [count for count in sorted(counts) if count <= free]
-    if not fitting:
-        raise InputError(f"{name}: {min(counts)} agents do not fit on {free} free cells")
     with about(name):
-        fleet_tasks(layout, tasks, fitting[-1])
-    return fitting
+        tasks = fleet_tasks(layout, tasks, min(counts))
+    free = of_tiles(layout, tasks.traversable, tasks.tiles).sum()
+    return [count for count in sorted(counts) if count <= free]
 
 
 def choose_capacity(agents: int) -> int:

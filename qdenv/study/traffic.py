@@ -83,11 +83,9 @@ def examine(
     tasks = fleet_tasks(layout, plan.domain.simulator.tasks, agents)
     recorded, at_once = audit or maps, _MOST_RECORDED // (agents * config.timesteps)
     if recorded and not at_once:
-        without = "add --no-audit" if audit else "leave the picture out"
-        raise InputError(
-            f"{agents} agents over {config.timesteps} timesteps are too much to record: "
-            f"simulate at most {_MOST_RECORDED // agents} timesteps, or {without}"
-        )
+        long = f"{agents} agents over {config.timesteps} timesteps are too much to record"
+        cure = f"simulate at most {_MOST_RECORDED // agents} timesteps, or leave out"
+        raise InputError(f"{long}: {cure} {'the audit' if audit else 'the picture'}")
     # No more recordings at a time than fit into memory.
     threads = min(devices.threads(), at_once) if recorded else None
     most = int(plan.domain.drivable(layout).sum())

@@ -129,10 +129,8 @@ class Surrogate:
         """
         self.heads = 2 + measures  # numbers: objective, result objective, measures
         if config.weights and len(config.weights) != self.heads:
-            raise InputError(
-                f"{len(config.weights)} weights: give {self.heads}, for objective, result "
-                "objective and each measure"
-            )
+            those = f"{self.heads}, for objective, result objective and each measure"
+            raise InputError(f"{len(config.weights)} weights: give {those}")
         self._config, self._encoding = config, encoding
         present = encoding.repairs, encoding.usage, True
         # The networks that there are, in the order in which they learn.

@@ -17,8 +17,6 @@ def parse_width(text: str) -> float:
     except ValueError:
         inches = 0.0
     if not _NARROWEST <= inches <= _WIDEST:
-        raise InputError(
-            f"width {text!r}: write column ({COLUMN} inches), page ({PAGE}), or a number of "
-            f"inches from {_NARROWEST:g} to {_WIDEST:g}"
-        )
+        sizes = f"page ({PAGE}), or a number of inches from {_NARROWEST:g} to {_WIDEST:g}"
+        raise InputError(f"width {text!r}: write column ({COLUMN} inches), {sizes}")
     return inches

@@ -55,10 +55,9 @@ def make_explorer(
     """
     check_range("growth", growth, NonNegativeInt | None)
     if len(run.measures) > 2:
-        raise InputError(
-            f"{run}: an explorer shows one or two measures, not {len(run.measures)}: "
-            f"`qdenv export {run}` writes a table of all"
-        )
+        cure = f"`qdenv export {run}` writes a table of all"
+        shown = f"an explorer shows one or two measures, not {len(run.measures)}"
+        raise InputError(f"{run}: {shown}: {cure}")
     archive, config = run.archive, run.config.evaluation
     assert archive.best  # refuses an empty archive
     require_package("explorers", "plotly")

@@ -51,16 +51,12 @@ def compile_board(layout: np.ndarray, facts: Facts) -> Board:
     """Compile the rules and the input `layout` (int8 [H, W]) for the kernels, or InputError."""
     rules, kinds = facts.rules, len(facts.rules.tiles)
     if kinds > MAX_KINDS:
-        raise InputError(
-            f"the repair knows at most {MAX_KINDS} kinds of tile, these rules have "
-            f"{kinds}: merge tiles that obey the same rules"
-        )
+        more = f"at most {MAX_KINDS} kinds of tile, these rules have {kinds}"
+        raise InputError(f"the repair knows {more}: merge tiles that obey the same rules")
     different = sorted({need for needs in facts.needs for need in needs})
     if len(different) > MAX_NEEDS:
-        raise InputError(
-            f"the repair knows at most {MAX_NEEDS} different neighbours that tiles need, these "
-            f"rules have {len(different)}: merge demands"
-        )
+        more = f"at most {MAX_NEEDS} different neighbours that tiles need, not {len(different)}"
+        raise InputError(f"the repair knows {more}: merge demands")
     traits = []
     for kind, tile in enumerate(rules.tiles):
         unit = sum(1 << 4 * field for field, need in enumerate(different) if tile in need)

@@ -216,9 +216,7 @@ class LimitedMemory(base.Strategy):
         super().__init__(population_size, solution, **settings)
         batch, dim = population_size, self.num_dims
         if batch > dim:
-            raise InputError(
-                f"the lm_ma strategy needs a batch of at most {dim} (the parameters), not {batch}"
-            )
+            raise InputError(f"lm_ma needs a batch of at most {dim} (the parameters), not {batch}")
         self.path_rate = 2 * batch / dim  # c_sigma
         # How far each of the b vectors bends a draw (c_d), and how fast it learns (c_c): each
         # remembers four times as long as the one before it, so that together they span the

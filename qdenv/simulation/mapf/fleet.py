@@ -61,17 +61,14 @@ def prepare(
     chex.assert_rank(layout, 2)
     chex.assert_type(layout, int)
     planner = PLANNERS.make(config.planner)
+    name = f"the planner {PLANNERS.name_of(config.planner)!r}"
     longest = max(0 if callable(goal.stay) else goal.stay for goal in rule.cycle)
     if config.window > planner.max_window:
-        raise InputError(
-            f"the planner {PLANNERS.name_of(config.planner)!r} plans at most {planner.max_window} "
-            f"timesteps ahead: choose a window of at most that, not {config.window}"
-        )
+        limit = f"plans at most {planner.max_window} timesteps ahead"
+        raise InputError(f"{name} {limit}: choose a window of at most that, not {config.window}")
     if longest > planner.max_service:
-        raise InputError(
-            f"the planner {PLANNERS.name_of(config.planner)!r} lets agents stay at a goal for at "
-            f"most {planner.max_service} timesteps, not {longest}: shorten the stay"
-        )
+        limit = f"lets agents stay at a goal for at most {planner.max_service} timesteps"
+        raise InputError(f"{name} {limit}, not {longest}: shorten the stay")
     if costs is not None:
         check_costs(config.planner)
     rows, cols = layout.shape

@@ -80,9 +80,8 @@ def weigh(goal: Goal, rows: Sequence[str], shape: tuple[int, int]) -> Goal:
     widths = {len(line) for line in lines}
     if (len(lines), *widths) != shape:
         cols = " or ".join(map(str, sorted(widths)))
-        raise InputError(
-            f"the demand has {len(lines)} x {cols} numbers, the plan {shape[0]} x {shape[1]} cells"
-        )
+        size = "{} x {}".format(*shape)
+        raise InputError(f"the demand has {len(lines)} x {cols} numbers, the plan {size} cells")
     try:
         exact = np.array(lines, float)
     except ValueError:
@@ -123,23 +122,21 @@ def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
     """
     free = np.asarray(of_tiles(layout, rule.traversable, rule.tiles))
     if free.sum() < agents:
-        raise InputError(
-            f"{agents} agents need as many free cells, the layout has {free.sum()}: "
-            "simulate fewer agents"
-        )
+        there = f"the layout has {free.sum()}: simulate fewer agents"
+        raise InputError(f"{agents} agents need as many free cells, {there}")
     for goal in rule.cycle:
         if not (np.asarray(goal.weight(layout)) > 0).any():
-            shelves = goal.name == "endpoint" and np.any(of_tiles(layout, "@", rule.tiles))
-            advice = ": repair it with --keep @" if shelves else ""
-            raise InputError(f"robots have nothing to do: the layout has no {goal.name}{advice}")
+            shelves, drawn = (np.any(of_tiles(layout, one, rule.tiles)) for one in "@e")
+            bare = goal.name == "endpoint" and shelves and not drawn
+            advice = ": repair it with --keep @" if bare else ""
+            none = f"the layout has no {goal.name} that is ever a goal"
+            raise InputError(f"robots have nothing to do: {none}{advice}")
     labels, parts = ndimage.label(free)
     if parts > 1:
         smallest = 1 + np.argmin(np.bincount(labels.ravel())[1:])
         row, column = np.argwhere(labels == smallest)[0]
-        raise InputError(
-            f"the free cells fall into {parts} parts, row {row}, column {column} is cut off: "
-            "repair the layout first"
-        )
+        cut = f"row {row}, column {column} is cut off: repair the layout first"
+        raise InputError(f"the free cells fall into {parts} parts, {cut}")
 
 
 def task_odds(layout: np.ndarray, rule: TaskRule) -> np.ndarray:

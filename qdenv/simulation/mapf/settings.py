@@ -86,10 +86,9 @@ class FleetConfig(Ranged):
         super().__post_init__()
         if self.timesteps > _MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
             most = max(1, min(_MOST_TIMESTEPS, MOST_STEPS // self.agents))
-            raise InputError(
-                f"{self.agents} agents over {self.timesteps} timesteps are more than a run can "
-                f"count: simulate at most {most} timesteps"
-            )
+            long = f"{self.agents} agents over {self.timesteps} timesteps"
+            cure = f"simulate at most {most} timesteps"
+            raise InputError(f"{long} are more than a run can count: {cure}")
         if self.horizon > self.window:
             raise InputError(f"a horizon of {self.horizon} is beyond the window, {self.window}")
         PLANNERS.name_of(self.planner)
@@ -120,10 +119,8 @@ def check_costs(planner: Any) -> None:
     """Raise InputError if the planner of these settings knows no costs of moves."""
     if not PLANNERS.make(planner).reads_costs:
         name = PLANNERS.name_of(planner)
-        raise InputError(
-            f"the planner {name!r} knows no costs of moves: choose negotiated, pibt or pbs, or "
-            "--guidance none"
-        )
+        cure = "choose negotiated, pibt or pbs, or --guidance none"
+        raise InputError(f"the planner {name!r} knows no costs of moves: {cure}")
 
 
 def describe_planner(settings: Any) -> str:
