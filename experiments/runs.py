@@ -12,6 +12,7 @@ import numpy as np
 
 import qdenv
 from experiments.pieces import Folders, Piece, say
+from qdenv import interrupt
 from qdenv.io.arrays import write_arrays
 from qdenv.io.files import write_csv
 from qdenv.ops.costs import cpu_seconds
@@ -145,6 +146,7 @@ def whole_run(
 
     Raises InputError if the folder holds a run with other settings.
     """
+    interrupt.advise(interrupt.advice())  # of the script, not of one of its runs
     if not (path / "config.json").exists():
         report(f"{path}: begins; an interruption loses minutes at most")
         return train(config, path, execution=execution, start=start)

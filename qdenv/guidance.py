@@ -43,7 +43,9 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
     """
     costs, free = np.asarray(costs, float), np.asarray(traversable, bool)
     if costs.shape != (NUM_MOVES, *free.shape):
-        raise InputError(f"costs of moves must be {(NUM_MOVES, *free.shape)}, not {costs.shape}")
+        raise InputError(
+            f"costs of moves have the shape {(NUM_MOVES, *free.shape)}, not {costs.shape}"
+        )
     moves = existing_moves(free)
     if not (costs[moves] > 0).all() or np.isinf(costs[0][free]).any():
         raise InputError("costs of moves are above zero, and finite for waiting")

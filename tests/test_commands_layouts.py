@@ -185,7 +185,7 @@ def test_a_plan_without_endpoints_gets_them_beside_its_shelves(folder, capsys):
     assert run(["check", "racks.txt"]) == 1
     assert "`qdenv repair --keep @`" in capsys.readouterr().out
     refused = refusal(["simulate", "racks.txt", "--robots", "2"], capsys)
-    assert "the layout has no endpoint that is ever a goal: repair it with --keep @" in refused
+    assert "the layout has no endpoint to drive to: repair it with --keep @" in refused
     assert run(["repair", "racks.txt", "--keep", "@", "--out", "served.txt"]) == 0
     assert run(["check", "served.txt"]) == 0
     assert "@@@@" in (folder / "served.txt").read_text()

@@ -56,7 +56,7 @@ def test_facts_that_cannot_be_written_stop_a_command_before_it_writes(folder, ca
     with mock.patch("os.access", lambda path, mode: Path(path).name != "sealed.json"):
         line = ["layout", "human", "--rows", "20", "--cols", "20", "--json", "sealed.json"]
         assert run(line) == 2
-    assert "sealed.json is read-only: choose another place" in capsys.readouterr().err
+    assert "cannot be written (sealed.json is read-only)" in capsys.readouterr().err
     assert os.listdir() == ["sealed.json"]
 
 

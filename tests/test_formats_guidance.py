@@ -141,7 +141,7 @@ def test_a_plan_with_impossible_costs_is_refused_where_it_is_read(tmp_path):
 def test_unknown_names_are_refused():
     with pytest.raises(InputError, match="unknown guidance 'criscross': did you mean crisscross"):
         guide(PLAN, "criscross")
-    with pytest.raises(InputError, match="an array: costs of moves must be"):
+    with pytest.raises(InputError, match="an array: costs of moves have the shape"):
         guide(PLAN, np.ones((5, 2, 2)))
     maze = Plan("maze", np.zeros((3, 3), np.int8), find_domain("maze-walls"), assumed=False)
     with pytest.raises(InputError, match="no fleet drives in maze-walls"):

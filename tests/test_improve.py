@@ -121,7 +121,9 @@ def test_only_the_searches_of_an_improvement_go_on_with_it(done):
     with pytest.raises(InputError, match=r"another: no run here \(config.json is missing\)"):
         qdenv.resume(other)
     other.rmdir()
-    with pytest.raises(InputError, match=r"no run here \(config.json is missing\); its folders f"):
+    with pytest.raises(
+        InputError, match=r"no run here \(config.json is missing\); choose one of those in it: f"
+    ):
         qdenv.RunDirectory.open(done[1])
 
 

@@ -48,7 +48,7 @@ def test_random_mazes_have_the_walls_and_the_path_asked_for():
     np.testing.assert_array_equal(
         mazes, random_mazes(0, 6, 8, 5, 12, lambda length: 10 <= length <= 12)
     )
-    with pytest.raises(InputError, match="draw fewer or none"):
+    with pytest.raises(InputError, match="draw fewer, or none"):
         random_mazes(0, 1, 4, 4, 2, lambda length: length > 99, tries=5)
     with pytest.raises(InputError, match="do not fit"):
         random_mazes(0, 1, 4, 4, 17)

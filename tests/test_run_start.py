@@ -105,7 +105,7 @@ def test_what_cannot_be_a_start_is_refused_before_anything_is_written(first, tmp
     wrong = {
         "nothing here": replace(config, start=f"{tmp_path}/nothing here"),
         "nearest elite": replace(config, start=f"{first.path}@0,0"),
-        "its generator has another": replace(
+        "its generator differs in": replace(
             config, evaluation=replace(config.evaluation, generator=NcaConfig(5, (3, 3), 4))
         ),
         "this domain has .*#": replace(config, start="zoo:warehouse-even/best"),

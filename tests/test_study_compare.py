@@ -166,8 +166,8 @@ def test_numbers_of_agents_are_read():
         ("1:99999999999", "choose a larger step"),
         (f"1:{10**30}", "choose a larger step"),
         ("1,1,1", "names a number twice"),
-        ("-5,10", "must be above zero"),
-        ("50:10", "from few to many"),
+        ("-5,10", "numbers must be above zero"),
+        ("50:10", "ranges must rise"),
     ],
 )
 def test_numbers_that_make_no_study_are_refused_at_once(text, said):

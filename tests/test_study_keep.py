@@ -65,7 +65,7 @@ def test_a_drawing_decides_about_every_cell_and_can_free_a_station(plan):
         ("gone.txt", "gone.txt: cannot be read"),
         (
             "small.txt",
-            "small.txt: the drawing of cells to keep is 1 x 11, the layout 4 x 11",
+            "small.txt: the drawing of cells to keep has 1 x 11 cells, the layout 4 x 11",
         ),
         ("other.txt", "'@' is to stay, but the plan holds 'w' there"),
         ("odd.txt", "row 0, column 0: 'q' is no tile of hall"),

@@ -282,9 +282,9 @@ def test_a_recording_is_dropped_once_it_is_read():
 def test_what_is_too_large_to_record_says_what_to_do(monkeypatch):
     monkeypatch.setattr(traffic, "_MOST_RECORDED", 1000)
     config = FleetConfig(10, 101, planner=PibtConfig())
-    with pytest.raises(InputError, match="at most 100 timesteps, or leave out the audit"):
+    with pytest.raises(InputError, match="at most 100 timesteps; `simulate --no-audit` without"):
         examine(HALLS, config, (0,))
-    with pytest.raises(InputError, match="at most 100 timesteps, or leave the picture out"):
+    with pytest.raises(InputError, match="at most 100 timesteps; `simulate --no-audit` without"):
         examine(HALLS, config, (0,), False, True, False)
     study = examine(HALLS, config, (0,), False, False, False)
     assert study.maps is None and study.row.mean_of_all > 0

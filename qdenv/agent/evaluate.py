@@ -164,9 +164,8 @@ def draw_mazes(
             kept.append(Drawn(layout, *map(int, course)))
             progress("drawing random mazes", len(kept) / count, "")
     if len(kept) < count:
-        raise InputError(
-            f"{len(kept)} of {tries} random mazes have such a path: draw fewer or none"
-        )
+        few = f"{len(kept)} of {tries} random mazes have a path as long as required"
+        raise InputError(f"{few}: draw fewer, or none")
     return kept
 
 

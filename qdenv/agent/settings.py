@@ -70,7 +70,9 @@ class LevelConfig(Ranged):
         """Refuse sizes that make no mazes."""
         super().__post_init__()
         if self.smallest and not 2 <= self.smallest <= self.size:
-            raise InputError(f"mazes of {self.smallest} to {self.size}: give 2 or more, in order")
+            raise InputError(
+                f"sizes {self.smallest} to {self.size} of mazes: give 2 or more, in order"
+            )
 
 
 @dataclass(frozen=True)

@@ -240,7 +240,7 @@ class Domain:
         """
         tasks = self.simulator.tasks
         if tasks is None:
-            raise InputError(f"no fleet drives in {self.name}: maps of . and # need --domain map")
+            raise InputError(f"no fleet drives in {self.name}: maps need --domain map")
         return np.asarray(of_tiles(layout, tasks.traversable, tasks.tiles))
 
     def mark_cells(self, layout: np.ndarray) -> dict[str, tuple[int, int]]:
@@ -379,4 +379,6 @@ def check_shape(keep: Sequence[str], shape: tuple[int, int]) -> None:
     rows, cols = len(keep), max(map(len, keep), default=0)
     if (rows, cols) != shape or any(len(row) != cols for row in keep):
         size = "{} x {}".format(*shape)
-        raise InputError(f"the drawing of cells to keep is {rows} x {cols}, the layout {size}")
+        raise InputError(
+            f"the drawing of cells to keep has {rows} x {cols} cells, the layout {size}"
+        )

@@ -27,7 +27,8 @@ def shelf_blocks(rows: int, cols: int) -> list[str]:
     """
     lines = (rows - 1) // _BAND
     if lines < 1 or cols < 1:
-        raise InputError(f"{rows} x {cols} has no room for a block of shelves: give 5 rows or more")
+        none = "no room for a block of shelves: give 5 rows or more"
+        raise InputError(f"an area of {rows} x {cols} has {none}")
     picture = np.full((rows, cols), ".")
     blocks = np.arange(cols) % (_SHELVES + 1) < _SHELVES
     for top in range(1, _BAND * lines, _BAND):

@@ -34,7 +34,7 @@ _STATION_SPACING = 3  # a workstation in rows 1, 4, 7, ..., never in the last ro
 def _border(rows: int, cols: int) -> np.ndarray:
     """Draw the fixed frame around empty tiles (int8 [H, W]): workstations in the outer columns."""
     if rows < 3 or cols <= 2 * _MARGIN[1]:
-        raise InputError(f"a warehouse needs at least 3 rows and 5 columns, not {rows} x {cols}")
+        raise InputError(f"a warehouse of {rows} x {cols} is too small: give 3 rows and 5 columns")
     picture = np.zeros((rows, cols), np.int8)
     picture[1 : rows - 1 : _STATION_SPACING, [0, -1]] = _TILES.index("w")
     return picture

@@ -90,7 +90,7 @@ def read_dxf(path: Path) -> Drawing:
     beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)[0]}
     layers, side = facts.get("layers"), facts.get("cell")
     if not isinstance(layers, dict) or not side:
-        form = 'layers = {RACKS = "@"}, and on another line the metres of a cell, like cell = 1.2'
+        form = 'layers = {RACKS = "@"}, and below the length of a cell in metres, like cell = 1.2'
         raise damaged(path, f"write {beside.name} beside it with its layers, like {form}")
     tiles = {str(name).casefold(): str(tile)[:1] for name, tile in layers.items() if tile}
     known = [(tiles[name], points) for name, points in shapes if name in tiles]

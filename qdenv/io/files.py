@@ -110,7 +110,8 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written ({folder} is a file): choose another place")
     for place in (folder, path) if path.exists() else (folder,):
         if not os.access(place, os.W_OK):
-            raise InputError(f"{path}: {place} is read-only: choose another place")
+            reason = f"{place} is read-only"
+            raise InputError(f"{path}: cannot be written ({reason}): choose another place")
 
 
 def reserve(path: Path, folder: bool = False) -> Path:

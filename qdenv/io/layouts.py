@@ -60,10 +60,10 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(READ_ENDINGS)}") from error
     # A file's own facts count more.
-    beside, source = facts_beside(path)
-    facts = beside | dict(drawing.details.get("facts", {}))
+    (beside, source), own = facts_beside(path), dict(drawing.details.get("facts", {}))
+    facts = beside | own
     if facts:
-        stated = make_facts(facts, source)
+        stated = make_facts(facts, path if own else source)
         legend = str.maketrans(dict(stated.legend))
         details = {**drawing.details, "facts": {**facts, "legend": {}}}
         drawing = drawing._replace(

@@ -96,8 +96,9 @@ def improve(
     options = args.Fleet(given, args.RunOptions)
     plan = options.read_plan(layout)
     agents, timesteps, note = options.usual(plan, agents)
+    tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     with about(f"a quarter more than {agents} robots are simulated, too"):
-        fleet_tasks(plan.layout, plan.domain.simulator.tasks, round(1.25 * agents))
+        fleet_tasks(plan.layout, tasks, round(1.25 * agents))
     fitted = plan.fitted(rules, keep)
     if fitted.rules and (reason := impossible(fitted.rules())):
         raise InputError(f"{plan.name}: no layout obeys all rules: {reason}")

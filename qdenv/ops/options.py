@@ -177,7 +177,7 @@ class GuideOptions(RunOptions, total=False):
     # planner of the paths, by its registered name or its settings, like `PbsConfig()`
     planner: Annotated[Any, arg(name="", constructor=PibtOptions)]
     # search 30 numbers of smooth costs for floors of any size, the cost of each move, or weights of
-    # a network that updates costs; by default smooth, or costs if it begins at those of a file
+    # a network that updates costs; by default smooth, or costs where guidance states them all
     method: Literal["smooth", "costs", "update"]
     # number of costs of moves to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt

@@ -103,7 +103,7 @@ def replay(
     if films.mp4:
         require_package("films", "imageio-ffmpeg")
     if plan.domain.name in MAZES:
-        _refuse_fleet(agents, options)
+        _refuse_fleet(agents, options, plan)
         page, motion, facts = _replay_episode(plan, options.timesteps, seed, films)
     else:
         page, motion, facts = _replay_fleet(plan, agents, options, seed, films)
@@ -129,10 +129,11 @@ def replay(
     return dataclasses.replace(page, facts=facts)
 
 
-def _refuse_fleet(agents: object, options: args.Fleet) -> None:
+def _refuse_fleet(agents: object, options: args.Fleet, plan: Plan) -> None:
     """Raise InputError where a maze is to have agents or their planner."""
     if agents is not None:
-        raise InputError("one agent walks in a maze: leave --agents out, or add --domain map")
+        cure = ", or add --domain map" if plan.assumed else ""
+        raise InputError(f"one agent walks in a maze: leave --agents out{cure}")
     if options.effort or PLANNERS.name_of(options.planner) != OWN or not options.stop:
         raise InputError("mazes have no planner: leave --planner, --effort and --no-stop out")
 
@@ -266,7 +267,7 @@ def report(
             subjects.append(Subject(plan.name, args.name_of(one), plan))
     subjects = distinct(subjects)
     if subjects[0].plan.domain.simulator.tasks is None:
-        _refuse_fleet(counts or None, options)
+        _refuse_fleet(counts or None, options, subjects[0].plan)
         if options.seeds != parse_seeds(10):
             raise InputError("each maze has 100 episodes of seed 0: leave --seeds out")
         from qdenv.view.report_maze import report_mazes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -187,7 +188,7 @@ def resume(
     """
     path = run.path if isinstance(run, RunDirectory) else Path(run)
     # The searches of an improvement go on together.
-    whole = path.resolve()
+    whole = Path(os.path.abspath(path))
     whole = whole.parent if whole.name in ("lanes", "racks", "rows", "floor") else path
     improved = [one for one in (path, whole) if (one / "improve.json").exists()]
     agent = (path / "checkpoint.npz").exists() and (path / "config.json").exists()

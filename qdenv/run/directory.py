@@ -139,8 +139,8 @@ class RunDirectory:
         run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(path))
         for name in ("config.json", "manifest.json"):
             if not (run.path / name).exists():
-                inside = ", ".join(sorted(one.parent.name for one in run.path.glob(f"*/{name}")))
-                runs = f"; its folders {inside} are runs" if inside else ""
+                inside = sorted(one.parent.name for one in run.path.glob("*/manifest.json"))
+                runs = f"; choose one of those in it: {', '.join(inside[:8])}" if inside else ""
                 raise InputError(f"{path}: no run here ({name} is missing){runs}")
         # Before the rest, which may be of another form in a newer one.
         path = run.path / "manifest.json"
@@ -356,10 +356,11 @@ def find_start(config: RunConfig) -> np.ndarray | None:
             solution = add_channels(solution, kinds, NUM_MOVES, theirs.kernel_sizes, theirs.hidden)
         theirs = GuidedNcaConfig(**vars(theirs) | more)
     if ours != theirs:
-        drawn = f"start {config.start}: its generator"
+        about = f"start {config.start}: its generator"
         if type(ours) is not type(theirs):
             names = [GENERATORS.name_of(one) for one in (theirs, ours)]
-            raise InputError(f"{drawn} is {names[0]}, this search's {names[1]}: leave --start out")
+            cure = f"give --generator {names[0]}, or leave --start out"
+            raise InputError(f"{about} is {names[0]}, not {names[1]}: {cure}")
         other = [name for name, value in vars(theirs).items() if value != getattr(ours, name)]
-        raise InputError(f"{drawn} has another {', '.join(other)}: take those of {run}")
+        raise InputError(f"{about} differs in {', '.join(other)}: take those of {run}")
     return solution

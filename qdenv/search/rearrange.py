@@ -50,7 +50,7 @@ def rearrange(config: RearrangeConfig, problem: Problem, x0: Array | None = None
     """
     encoding, members = problem.encoding, min(config.population, config.batch - 1)
     if encoding is None or not encoding.choices or members < 1:
-        raise InputError("rearrange moves tiles: give --generator direct, --batch 2 or more")
+        raise InputError("rearrange moves tiles: give --generator direct and --batch 2 or more")
     top, left = encoding.margin
     shape = encoding.shape[0] - 2 * top, encoding.shape[1] - 2 * left
 

@@ -68,7 +68,7 @@ def parse_counts(agents: int | str | Sequence[int] | None) -> tuple[int, ...]:
     except (ValueError, TypeError):
         raise InputError(f"agents {text!r}: write 200, or 50,100, or 50:400:50") from None
     if not counts or min(counts) < 1:
-        raise InputError(f"agents {text!r}: must be above zero, and ranges from few to many")
+        raise InputError(f"agents {text!r}: numbers must be above zero, and ranges must rise")
     if len(counts) > _MOST_COUNTS:
         cure = "choose a larger step, as in 50:400:50"
         raise InputError(f"agents {text!r} are more than {_MOST_COUNTS} numbers: {cure}")
@@ -183,7 +183,7 @@ def fleet_tasks(layout: np.ndarray, tasks: TaskRule | None, agents: int) -> Task
     Raises InputError if no fleet drives in this domain, or that many do not fit the layout.
     """
     if tasks is None:
-        raise InputError("no fleet drives in this domain: maps of . and # need --domain map")
+        raise InputError("no fleet drives in this domain: maps need --domain map")
     check_playable(layout, tasks, agents)
     return tasks
 

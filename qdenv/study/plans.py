@@ -101,7 +101,8 @@ def read_plan(path: str | Path, domain: str | None = None, drawing: Drawing | No
     layout = to_layout(rows, path, found.tiles, found.meanings, found.name)
     plan = Plan(Path(path).stem, layout, found, assumed=not name, keep=keep)
     if "facts" in details:
-        source = facts_beside(Path(path))[1]
+        beside, source = facts_beside(Path(path))
+        source = source if {**beside, "legend": {}} == details["facts"] else Path(path)
         plan = _with_facts(plan, make_facts(details["facts"], source), source)
         found = plan.domain
     if weights is None or found.simulator.tasks is None:

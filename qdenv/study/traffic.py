@@ -84,8 +84,8 @@ def examine(
     recorded, at_once = audit or maps, _MOST_RECORDED // (agents * config.timesteps)
     if recorded and not at_once:
         long = f"{agents} agents over {config.timesteps} timesteps are too much to record"
-        cure = f"simulate at most {_MOST_RECORDED // agents} timesteps, or leave out"
-        raise InputError(f"{long}: {cure} {'the audit' if audit else 'the picture'}")
+        cure = f"simulate at most {_MOST_RECORDED // agents} timesteps"
+        raise InputError(f"{long}: {cure}; `simulate --no-audit` without a picture records nothing")
     # No more recordings at a time than fit into memory.
     threads = min(devices.threads(), at_once) if recorded else None
     most = int(plan.domain.drivable(layout).sum())

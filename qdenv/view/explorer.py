@@ -55,7 +55,7 @@ def make_explorer(
     """
     check_range("growth", growth, NonNegativeInt | None)
     if len(run.measures) > 2:
-        cure = f"`qdenv export {run}` writes a table of all"
+        cure = f"`qdenv export {shlex.quote(str(run))}` writes a table of all"
         shown = f"an explorer shows one or two measures, not {len(run.measures)}"
         raise InputError(f"{run}: {shown}: {cure}")
     archive, config = run.archive, run.config.evaluation

@@ -170,7 +170,7 @@ def _simulate(
         def show(step: str, share: float, note: str, name: str = one.name) -> None:
             progress(f"looking closely at {name}", share, note or step)
 
-        studies.append(examine(one.plan, config, request.seeds, audit=False, progress=show))
+        studies.append(examine(one.plan, config, request.seeds, progress=show))
     return agents, rows, studies
 
 

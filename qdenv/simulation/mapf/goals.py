@@ -129,7 +129,7 @@ def check_playable(layout: np.ndarray, rule: TaskRule, agents: int) -> None:
             shelves, drawn = (np.any(of_tiles(layout, one, rule.tiles)) for one in "@e")
             bare = goal.name == "endpoint" and shelves and not drawn
             advice = ": repair it with --keep @" if bare else ""
-            none = f"the layout has no {goal.name} that is ever a goal"
+            none = f"the layout has no {goal.name} to drive to"
             raise InputError(f"robots have nothing to do: {none}{advice}")
     labels, parts = ndimage.label(free)
     if parts > 1:
