@@ -80,6 +80,12 @@ def test_costs_of_moves_survive_a_grid(plan):
     again = read_drawing(plan.with_name("a.grid"))
     assert again.weights == read_drawing(plan).weights and again.starts == (1, 2)
     assert plan.with_name("a.grid").read_text().startswith("Grid size (x, y)\n7,11\nid,type,x,y,")
+    (plan.parent / "sort.txt").write_text("i..\n..o\n")
+    convert(plan.parent / "sort.txt", plan.with_name("b.grid"))
+    _, _, head, first, *others = plan.with_name("b.grid").read_text().splitlines()
+    assert head.startswith("id,type,station,x,y,") and first.startswith("0,Induct,0,0,0,")
+    assert others[0].startswith("1,Travel,None,") and others[-1].startswith("5,Eject,5,")
+    assert read_drawing(plan.with_name("b.grid")).rows == ["i..", "..o"]
 
 
 def test_a_map_loses_stations_in_one_line_and_needs_no_flag(plan, capsys):

@@ -92,6 +92,11 @@ def test_a_sheet_may_have_numbers_colours_around_it_and_other_sheets(tmp_path):
     book.save(tmp_path / "a.xlsx")
     with pytest.raises(InputError, match="'shelf' at row 9, column 0: a cell holds one tile"):
         read_drawing(tmp_path / "a.xlsx")
+    book.active.delete_rows(10)
+    book.active.merge_cells("A1:B1")
+    book.save(tmp_path / "a.xlsx")
+    with pytest.raises(InputError, match="merged cells hold one tile: split them"):
+        read_drawing(tmp_path / "a.xlsx")
 
 
 @pytest.fixture
@@ -112,6 +117,21 @@ def drawn(tmp_path):
     space.add_text("north")
     document.saveas(tmp_path / "hall.dxf")
     return tmp_path / "hall.dxf"
+
+
+def test_old_drawings_have_a_page_of_codes_and_shapes_may_be_seen_from_below(tmp_path):
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.new("R2000")
+    space, below = document.modelspace(), {"extrusion": (0, 0, -1)}
+    floor, column = [(0, 0), (4, 0), (4, 2), (0, 2)], [(-1, 0), (-2, 0), (-2, 1), (-1, 1)]
+    space.add_lwpolyline(floor, close=True, dxfattribs={"layer": "HALLE"})
+    space.add_lwpolyline(column, close=True, dxfattribs={"layer": "STÜTZEN"} | below)
+    space.add_polyline2d(column, close=True, dxfattribs={"layer": "STÜTZEN"} | below)
+    document.saveas(tmp_path / "hall.dxf")
+    facts = 'cell = 1\nlayers = {HALLE = ".", "STÜTZEN" = "#"}'
+    (tmp_path / "hall.toml").write_text(facts, encoding="utf-8")
+    drawing = read_drawing(tmp_path / "hall.dxf")
+    assert drawing.rows == ["....", ".#.."] and drawing.lost == ()
 
 
 def test_a_drawing_of_cad_is_read_by_the_layers_named_beside_it(drawn, capsys):

@@ -128,6 +128,10 @@ def test_nav2_reads_ids_ends_and_costs_of_edges(plan, costs, capsys):
     moves = {(*cells[e["startid"]], *cells[e["endid"]]): e["cost"] for e in edges}
     assert moves.keys() == expected_moves(costs) and moves[0, 2, 0, 3] == 7.0
     assert places[-1] == [[places[edges[-1]["startid"]], places[edges[-1]["endid"]]]]
+    (plan.parent / "bare.txt").write_text("..@\n")
+    bare = json.loads(written(plan.parent / "bare.txt", "bare.geojson").read_text())["features"]
+    for found, closable in ((edges, False), ([one["properties"] for one in bare[2:]], True)):
+        assert {one["overridable"] for one in found} == {closable}  # while the robots drive
 
 
 def test_ros_reads_a_picture_with_its_scale(plan):

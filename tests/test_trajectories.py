@@ -55,15 +55,22 @@ def test_both_forms_hold_the_same_places_and_goals(tmp_path):
         reached = [(one.time, one.robot, one.place) for one in runs[-1].errands]
         assert sorted(reached) == [(1, 0, (0, 1)), (2, 1, (2, 3))]
     assert (runs[0].finished, runs[1].finished) == (None, 2)
+    content = json.loads((tmp_path / "run.json").read_text())
+    older = [path.translate(str.maketrans("UD", "DU")) for path in content["actualPaths"]]
+    assert older != content["actualPaths"]
+    (tmp_path / "run.json").write_text(json.dumps(content | {"actualPaths": older}))
+    assert (read_run(tmp_path / "run.json").cells == runs[1].cells).all()
 
 
 def test_lines_are_read_in_any_order_with_any_separator(tmp_path):
     (tmp_path / "plain.txt").write_text("\n".join(VALID))
     plain = read_run(tmp_path / "plain.txt").cells
     assert plain.tolist()[1] == [[0, 1], [2, 2]]
-    shuffled = [";".join(reversed(line.split())) for line in VALID]
+    shuffled = [";".join([*reversed(line.split()), "moving", "0.97"]) for line in VALID]
     random.Random(0).shuffle(shuffled)
-    (tmp_path / "own.csv").write_text("\n".join(["column;row;agent;timestep", *shuffled]))
+    (tmp_path / "own.csv").write_text(
+        "\n".join(["column;row;agent;timestep;state;battery", *shuffled])
+    )
     assert (read_run(tmp_path / "own.csv").cells == plain).all()
 
 

@@ -163,8 +163,9 @@ def _number(text: str, where: str) -> float:
         number = float(text.replace(",", "."))
     except ValueError:
         number = np.nan
-    if not 0 <= number < np.inf:
-        raise InputError(f"{where}: {text!r} is no weight: give a number, 0 or more")
+    # A comma before three digits may part thousands, or be a decimal one.
+    if not 0 <= number < np.inf or re.fullmatch(r"[1-9]\d{0,2}(,\d{3})+", text):
+        raise InputError(f"{where}: {text!r} is no weight: give a number like 1200 or 1.2")
     return number
 
 

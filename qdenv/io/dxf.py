@@ -82,7 +82,10 @@ def read_dxf(path: Path) -> Drawing:
     """
     ezdxf, content = _ezdxf(), read_bytes(path, _MAX_BYTES)
     with parsing(path, "a DXF drawing"):
-        text = io.StringIO(content.decode("utf-8", "surrogateescape").replace("\r\n", "\n"))
+        # Until AutoCAD 2004 a page of codes is named in the file.
+        head = io.StringIO(content.decode("latin-1").replace("\r\n", "\n"))
+        encoding = ezdxf.filemanagement.dxf_stream_info(head).encoding
+        text = io.StringIO(content.decode(encoding, "surrogateescape").replace("\r\n", "\n"))
         document = ezdxf.read(text)
         facts = dict(json.loads(dict(document.header.custom_vars.properties).get(_FACTS, "{}")))
         scale = ezdxf.units.conversion_factor(document.units or _METRES, _METRES)
@@ -110,9 +113,9 @@ def _shapes(space: Any, scale: float) -> tuple[list[tuple[str, np.ndarray]], Cou
         layer, kind = entity.dxf.layer.casefold(), entity.dxftype()
         points: Any = []
         if kind == "LWPOLYLINE":
-            points = [(x, y) for x, y, *_ in entity.get_points()]
+            points = [(point.x, point.y) for point in entity.vertices_in_wcs()]
         elif kind == "POLYLINE":
-            points = [(point.x, point.y) for point in entity.points()]
+            points = [(point.x, point.y) for point in entity.points_in_wcs()]
         if len(points) > 2 and (entity.is_closed or points[0] == points[-1]):
             shapes.append((layer, np.array(points, float) * scale))
         else:

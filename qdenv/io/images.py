@@ -95,6 +95,9 @@ def read_xlsx(path: Path) -> Drawing:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if sum(one.file_size for one in archive.infolist()) > _MAX_UNPACKED:
                 raise damaged(path, f"more than {_MAX_UNPACKED // MEGABYTE} MB of content")
+            sheets = [one for one in archive.namelist() if one.endswith("/sheet1.xml")]
+            if any(b"<mergeCell " in archive.read(one) for one in sheets):
+                raise damaged(path, "merged cells hold one tile: split them, and fill each cell")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions that do not matter here
             book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)

@@ -148,7 +148,8 @@ def write_nav2(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         place = {"type": "Point", "coordinates": [x, y]}
         features.append({"type": "Feature", "properties": facts, "geometry": place})
     for number, (begin, end, cost) in enumerate(edges, len(nodes)):
-        edge = {"id": number, "startid": begin, "endid": end, "cost": cost, "overridable": False}
+        edge = {"id": number, "startid": begin, "endid": end, "cost": cost}
+        edge["overridable"] = drawing.weights is None  # Nav2 keeps costs of others, even if closed
         line = [[*nodes[begin][1:]], [*nodes[end][1:]]]
         place = {"type": "MultiLineString", "coordinates": [line]}
         features.append({"type": "Feature", "properties": edge, "geometry": place})

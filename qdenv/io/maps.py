@@ -284,8 +284,12 @@ def write_rhcr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> li
         names = {symbol: name for name, symbol in _TYPES.items()}
         weights = drawing.weights or [1.0] * int(1 + existing_moves(free)[1:].sum())
         head, *cells = write_table(rows, costs_of(weights, free)).splitlines()
+        if {"i", "o"} & {*drawn}:  # a sorting centre, whose stations have names
+            head = head.replace("type", "type,station")
+            names = {symbol: f"{name},None" for symbol, name in names.items()}
+            names |= {"i": "Induct,{0}", "o": "Eject,{0}"}
         parts = [cell.split(",", 2) for cell in cells]
-        body = [f"{number},{names[symbol]},{rest}" for number, symbol, rest in parts]
+        body = [f"{cell},{names[symbol].format(cell)},{rest}" for cell, symbol, rest in parts]
         lines = ["Grid size (x, y)", f"{len(rows)},{cols}", head, *body]
     else:
         counts = [drawn.count("e"), drawn.count(_HOME), drawing.details.get("maxtime", 5000)]

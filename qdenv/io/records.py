@@ -48,8 +48,8 @@ def read_json(path: Path | str, kind: type[T]) -> T:
     return structured(parse_json(read_text(path, _MAX_BYTES, "JSON"), path), kind, path)
 
 
-def parse_json(text: str, source: Path | str) -> Any:
-    """Parse JSON of limited depth and size; numbers are finite or infinite, never NaN.
+def parse_json(text: str, source: Path | str, most: int = _MAX_VALUES) -> Any:
+    """Parse JSON of limited depth and `most` values; numbers are finite or infinite, never NaN.
 
     Raises DamagedError, which names `source`, if the text is not JSON, or beyond the limits.
     """
@@ -79,8 +79,8 @@ def parse_json(text: str, source: Path | str) -> Any:
             continue
         values += first in "[{,"
         depth += (first in "[{") - (first in "]}")
-        if depth > _MAX_DEPTH or values > _MAX_VALUES:
-            what = f"more than {_MAX_VALUES:,} values" if values > _MAX_VALUES else "too deep"
+        if depth > _MAX_DEPTH or values > most:
+            what = f"more than {most:,} values" if values > most else "too deep"
             raise damaged(source, f"not a JSON file of ours: {what}")
     try:
         return json.loads(

@@ -20,9 +20,10 @@ HEAD = ("timestep", "robot", "row", "column")
 _GOALS = ("goal_row", "goal_column", "finished")  # of our own lines
 _MOST = 20_000_000  # robots times timesteps of a run; a hostile file may not fill the memory
 # Action -> (rows, columns) of a step; of robots that turn a step leads ahead, clockwise from east.
-_LETTERS = "WRLDU"  # of the moves in the order of `grid`
+# Of the moves in the order of `grid`: PlanViz goes down for U, where older versions went up.
+_LETTERS = "WRLUD"
 _STEPS = dict(zip(_LETTERS[1:], grid.MOVES, strict=True))
-_AHEAD = np.array([_STEPS[letter] for letter in "RDLU"])
+_AHEAD = np.array([_STEPS[letter] for letter in "RULD"])
 # A stretch of a path of 2026: where it begins, which is ignored, and actions with their numbers.
 _STRETCH = re.compile(r"\[\([^()]*\):\(([^()]*)\)\]")
 
@@ -139,7 +140,7 @@ def read_run(path: str | Path) -> Trajectories:
     if the file is neither.
     """
     if Path(path).suffix.lower() == ".json":
-        content = parse_json(read_text(path, 256 * MEGABYTE, "JSON"), path)
+        content = parse_json(read_text(path, 256 * MEGABYTE, "JSON"), path, _MOST)
         return _read_league(path, structured(content, _Output, path))
     return _read_lines(path)
 
@@ -156,8 +157,8 @@ def _read_lines(path: str | Path) -> Trajectories:
     if not lines:
         raise damaged(path, f"no lines of {', '.join(HEAD)}")
     try:
-        table = np.array(lines, np.int64)
-        columns = dict(zip(names, table.T, strict=True))
+        table = dict(zip(names, zip(*lines, strict=True), strict=True))
+        columns = {one: np.array(table[one], np.int64) for one in (*HEAD, *_GOALS) if one in table}
     except (ValueError, OverflowError):
         whole = re.compile(r"-?\d{1,18}").fullmatch
         wrong = (one for one in lines if len(one) != len(names) or not all(map(whole, one)))
@@ -203,12 +204,18 @@ def _read_league(path: str | Path, output: _Output) -> Trajectories:
             reason = f"{wrong[0]!r} is none of {' '.join(known)}" if wrong else "too many actions"
             raise damaged(path, f"the path of robot {robot}: {reason}")
         actions.append(letters)
-    cells = [
+    ways = [
         _follow(letters.ljust(max(map(len, actions)), "W"), start, turning, every)
         for letters, start in zip(actions, output.start, strict=False)
     ]
+    cells = np.stack(ways, axis=1)
     try:
-        return Trajectories(np.stack(cells, axis=1), _errands(output), output.numTaskFinished)
+        errands = _errands(output)
+        if not turning:  # an older file goes up for U
+            upside_down = cells.copy()
+            upside_down[..., 0] = 2 * cells[0, :, 0] - cells[..., 0]
+            cells = max(cells, upside_down, key=lambda way: _count_reached(way, errands))
+        return Trajectories(cells, errands, output.numTaskFinished)
     except (TypeError, ValueError, LookupError, OverflowError):
         raise damaged(path, "events and tasks are not those of 2023, 2024 or 2026") from None
 
@@ -242,6 +249,13 @@ def _follow(letters: str, start: tuple[int, int, str], turning: bool, every: int
         for letter, step in _STEPS.items():
             steps[actions == letter] = step
     return np.concatenate([[start[:2]], start[:2] + np.cumsum(steps, axis=0)]).astype(np.int64)
+
+
+def _count_reached(cells: np.ndarray, errands: list[Errand]) -> int:
+    """Count the errands at whose time the robot is at their place."""
+    return sum(
+        one.time < len(cells) and tuple(cells[one.time, one.robot]) == one.place for one in errands
+    )
 
 
 def _errands(output: _Output) -> list[Errand]:
