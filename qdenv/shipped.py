@@ -134,7 +134,7 @@ def find(place: str | Path) -> Shipped | None:
 
     Links are followed. None for other places; raises InputError as `named` does.
     """
-    text = place.as_posix() if isinstance(place, Path) else place
+    text = place.as_posix() if isinstance(place, Path) else str(place)
     if text.startswith(PREFIX):
         return named(text.removeprefix(PREFIX))
     folder = Path(os.path.realpath(text))  # unlike Path.resolve, it never raises

@@ -118,7 +118,7 @@ MISTAKES = {
     "simulate plan.txt --agents 0": "agents must be at least 1, not 0",
     "simulate plan.txt --agents -3": "agents must be at least 1, not -3",
     "simulate plan.txt --agents 900": "free cells",
-    "simulate plan.txt --agents 99999999999": "the layout has 71",
+    "simulate plan.txt --agents 99999999999": "agents must be at most",
     "sweep plan.txt --agents 2,900": "the layout has 71",
     "compare plan.txt --agents 1,1,1": "names a number twice",
     "scalability plan.txt --agents 80,90": "80 agents need as many free cells, the layout has 71",

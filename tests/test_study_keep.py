@@ -86,7 +86,7 @@ def test_without_a_plan_a_drawing_of_tiles_is_all(plan):
     with pytest.raises(InputError, match="keep w: that is of a plan: give --plan FILE"):
         keep_from("w", domain)
     Path("keep.txt").write_text("!" + "?" * 10 + ("\n" + "?" * 11) * 3)
-    with pytest.raises(InputError, match="no plan is given: add --plan FILE"):
+    with pytest.raises(InputError, match="'!' stands for a plan's tile: add --plan FILE"):
         keep_from("keep.txt", domain)
     Path("keep.txt").write_text("w" + "?" * 10 + ("\n" + "?" * 11) * 3)
     assert keep_from("keep.txt", domain).config.keep[0] == "w??????????"

@@ -110,5 +110,4 @@ def _fill(text: str, names: str) -> str:
         above = _wrap(names, width, initial_indent="  ", subsequent_indent="      ")
         below = _wrap(text, width, initial_indent=indent, subsequent_indent=indent)
         return f"{above}\n{below}" if text else above
-    first = f"  {names:{_LEFT}}"
-    return _wrap(text, width, initial_indent=first, subsequent_indent=indent)
+    return _wrap(text, width, initial_indent=f"  {names:{_LEFT}}", subsequent_indent=indent)

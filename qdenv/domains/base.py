@@ -14,7 +14,7 @@ from qdenv import devices, score
 from qdenv.generators import Canvas, Rows
 from qdenv.grid import draw, inside_frame, of_tiles, parse
 from qdenv.lazy import jax, jnp
-from qdenv.ranges import Ranged, read_range
+from qdenv.ranges import NonNegativeInt, Ranged, read_range
 from qdenv.registry import Registry
 from qdenv.simulation.mapf.goals import BY_SHELF
 from qdenv.simulation.mapf.settings import FleetConfig
@@ -52,8 +52,8 @@ class KnownSize(NamedTuple):
 class DomainConfig(Ranged):
     """What the settings of every domain hold; a domain's own derive from this."""
 
-    rows: int = 33  # rows of the whole layout, frame included
-    cols: int = 36  # columns of the whole layout, frame included
+    rows: NonNegativeInt = 33  # rows of the whole layout, frame included
+    cols: NonNegativeInt = 36  # columns of the whole layout, frame included
     # rows of a drawing of the whole layout, which commands read from a file: a tile where a cell
     # must hold it, ``?`` where anything may be; empty for none
     keep: Rows = field(default=(), kw_only=True)

@@ -27,8 +27,7 @@ def shelf_blocks(rows: int, cols: int) -> list[str]:
     """
     lines = (rows - 1) // _BAND
     if lines < 1 or cols < 1:
-        none = "no room for a block of shelves: give 5 rows or more"
-        raise InputError(f"an area of {rows} x {cols} has {none}")
+        raise InputError(f"no block of shelves fits into {rows} x {cols}: give 5 rows or more")
     picture = np.full((rows, cols), ".")
     blocks = np.arange(cols) % (_SHELVES + 1) < _SHELVES
     for top in range(1, _BAND * lines, _BAND):
@@ -92,6 +91,5 @@ def apportion(total: int, ratio: tuple[int, ...]) -> list[int]:
     """Split `total` in the proportions of `ratio`, the largest remainders rounded up."""
     exact = np.array(ratio) * total / sum(ratio)
     numbers = exact.astype(int)
-    largest = np.argsort(numbers - exact, kind="stable")
-    numbers[largest[: total - numbers.sum()]] += 1
+    numbers[np.argsort(numbers - exact, kind="stable")[: total - numbers.sum()]] += 1
     return list(map(int, numbers))

@@ -14,7 +14,7 @@ from qdenv import devices, score
 from qdenv.domains.base import Domain, DomainConfig, KnownSize, Simulator, environment_entropy
 from qdenv.grid import inside_frame
 from qdenv.lazy import LazyModule, jax, jnp
-from qdenv.ranges import PositiveInt
+from qdenv.ranges import NonNegativeInt, PositiveInt
 from qdenv.registry import Entry
 from qdenv.simulation.maze import policy, world
 from qdenv.types import Measure, Tile
@@ -35,8 +35,8 @@ _ACCELERATOR_LANES = 7500
 class MazeConfig(DomainConfig):
     """The numbers of a maze whose first measure is the number of walls."""
 
-    rows: int = 18  # rows of the maze with its ring of walls
-    cols: int = 18  # columns of the maze with its ring of walls
+    rows: NonNegativeInt = 18  # rows of the maze with its ring of walls
+    cols: NonNegativeInt = 18  # columns of the maze with its ring of walls
     timesteps: PositiveInt = 648  # actions after which an episode fails, T
     agent: str = ""  # an .npz agent; by default the shipped one
 

@@ -110,8 +110,7 @@ def check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written ({folder} is a file): choose another place")
     for place in (folder, path) if path.exists() else (folder,):
         if not os.access(place, os.W_OK):
-            reason = f"{place} is read-only"
-            raise InputError(f"{path}: cannot be written ({reason}): choose another place")
+            raise InputError(f"{path}: cannot be written ({place} is read-only): choose another")
 
 
 def reserve(path: Path, folder: bool = False) -> Path:
@@ -179,7 +178,7 @@ def refuse_links(folder: Path) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON-ready values with one entry a line, atomically."""
-    write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
+    write_atomically(path, (json.dumps(content, indent=1, default=np.generic.item) + "\n").encode())
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

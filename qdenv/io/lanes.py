@@ -60,7 +60,7 @@ def _make_graph(
 
 def side_of(path: Path, drawing: Drawing) -> float:
     """Return the length of a cell's side in metres, 1 unless the drawing states it."""
-    side = drawing.details.get("cell", 1.0)
+    side = {**drawing.details.get("facts", {}), **drawing.details}.get("cell", 1.0)
     if isinstance(side, bool) or not isinstance(side, int | float) or not 1e-3 <= side <= 1e3:
         raise InputError(f"{path}: a cell's side is 0.001 to 1000 metres, not {side!r}")
     return float(side)

@@ -224,8 +224,7 @@ def _expand(text: str) -> str:
     """Write a path as one letter a timestep; "?" for a path that is none."""
     if not text.startswith("["):
         return text.replace(",", "")
-    stretches = _STRETCH.findall(text)
-    parts = [part.split(" ") for one in stretches for part in one.split(",") if part]
+    parts = [part.split(" ") for one in _STRETCH.findall(text) for part in one.split(",") if part]
     if _STRETCH.sub("", text) or not all(
         len(part) == 2 and re.fullmatch(r"\d{1,7}", part[1]) for part in parts
     ):

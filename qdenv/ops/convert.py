@@ -68,15 +68,14 @@ def convert(
     plan, found = guide(plan, guidance), plan.domain
     check_size(*plan.layout.shape)
     stated = {} if plan.assumed else {"domain": found.name}
-    facts = {**plan.facts.details.get("facts", {}), **found.details.get("facts", {})}
-    facts |= {"shelves": plan.facts.shelves} if plan.facts.shelves else {}
-    facts |= {} if cell is None else {"cell": cell}
-    own = {"facts": facts, "keep": plan.keep}
-    details = {**drawing.details, **stated} | {name: one for name, one in own.items() if one}
-    details |= {} if cell is None else {"cell": cell}
+    own, side = plan.details, {} if cell is None else {"cell": cell}
+    own |= {"facts": own.get("facts", {}) | side} if side else {}
+    details = {**drawing.details, **stated, **own, **side}
     if chosen in ("text", "csv"):
-        say(*write_facts(written.path, {"domain": found.name, **own}, bool(facts or plan.keep)))
-        details = {name: one for name, one in details.items() if name not in {"cell", *own}}
+        say(*write_facts(written.path, {"domain": found.name, **own}, bool(own)))
+        details = {
+            one: fact for one, fact in details.items() if one not in ("cell", "facts", "keep")
+        }
     weights = None
     if plan.costs is not None:
         weights = weights_of(np.where(found.drivable(plan.layout), plan.costs, np.inf))

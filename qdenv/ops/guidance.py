@@ -17,7 +17,7 @@ from qdenv.io.files import reserve
 from qdenv.ops import options as args
 from qdenv.ops.output import Table, format_table, say
 from qdenv.progress import Bar
-from qdenv.ranges import PositiveInt
+from qdenv.ranges import PositiveFloat, PositiveInt, check_range
 from qdenv.run.directory import RunDirectory
 from qdenv.run.executors import Execution
 from qdenv.simulation.mapf.settings import FleetConfig, describe_planner
@@ -64,7 +64,8 @@ def guide(
         ``qdenv guide plan.txt --robots 60 --minutes 5``
     """
     given: dict[str, Any] = dict(search)
-    minutes, base, method = (given.pop(one, None) for one in ("minutes", "guidance", "method"))
+    base, method = given.pop("guidance", None), given.pop("method", None)
+    check_range("minutes", minutes := given.pop("minutes", None), PositiveFloat | None)
     names = "evaluations", "simulations", "seed"
     numbers = {name: given.pop(name) for name in names if name in given}
     if model is not None and (numbers or minutes or base is not None or method):

@@ -96,13 +96,14 @@ def improve(
     options = args.Fleet(given, args.RunOptions)
     plan = options.read_plan(layout)
     agents, timesteps, note = options.usual(plan, agents)
+    fleet = options.config(agents, timesteps)
     tasks = fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     with about(f"a quarter more than {agents} robots are simulated, too"):
         fleet_tasks(plan.layout, tasks, round(1.25 * agents))
     fitted = plan.fitted(rules, keep)
     if fitted.rules and (reason := impossible(fitted.rules())):
         raise InputError(f"{plan.name}: no layout obeys all rules: {reason}")
-    settings = replace(fitted.config, fleet=options.config(agents, timesteps))
+    settings = replace(fitted.config, fleet=fleet)
     from qdenv.study.improve import ImproveConfig  # imports the whole chain
 
     ending = Path(args.name_of(layout)).suffix.lower()

@@ -55,7 +55,7 @@ def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = 
         ``qdenv render plan.txt --out plan.svg``
     """
     plan = args.read_plan(layout, domain)
-    drawn = Layout(plan.layout, plan.domain, costs=plan.costs)
+    drawn = Layout(plan.layout, plan.domain, plan.details, costs=plan.costs)
     if target := place(out, f"{plan.name}.png", PICTURES, [layout]):
         drawn.draw(target.path)
         rows, cols = plan.layout.shape

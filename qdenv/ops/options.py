@@ -20,7 +20,8 @@ from annotated_types import Interval
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from qdenv.domains.base import DOMAINS, find_domain
+from qdenv.domains.base import DOMAINS, Domain, find_domain
+from qdenv.io.facts import FACTS, make_facts
 from qdenv.ops.output import Layout
 from qdenv.ranges import NonNegativeInt, PositiveFloat, PositiveInt, Seed, check_range
 from qdenv.simulation.mapf.settings import (
@@ -212,13 +213,14 @@ class Fleet:
         """Resolve options of a `kind`; raise InputError if one is not of it, or impossible."""
         kinds = get_type_hints(kind, include_extras=True)
         for name, value in options.items():
-            check_range(name, value, look_up(kinds, name, "option"))
+            check_range(name, value, look_up({"agents": int} | kinds, name, "option"))
         self.domain: str | None = options.get("domain")
         self.timesteps: int | None = options.get("timesteps")
         self.effort: str | None = options.get("effort")
         # The command line gives a name (or "") and what differs from that planner's defaults.
         planner: Any = options.get("planner")
-        name, changes = planner if isinstance(planner, tuple) else (planner, {})
+        stated = isinstance(planner, tuple) and isinstance(planner[-1], dict)
+        name, changes = planner if stated else (planner, {})
         self.planner = replace(find_planner(self.effort, name or ""), **changes)
         self.stop: bool = options.get("stop", True)
         self.guidance: Any = options.get("guidance")
@@ -332,19 +334,30 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
             raise InputError(f"this layout is of {layout.domain.name}: leave domain out")
         if isinstance(layout, Plan):
             return layout._replace(assumed=False)
-        guidance, costs = "none" if layout.costs is None else name, layout.costs
-        return Plan(name, layout.layout, layout.domain, False, costs=costs, guidance=guidance)
+        facts = layout.details.get("facts", {})
+        facts = make_facts({one: facts[one] for one in FACTS if one in facts}, Path(name))
+        own = tuple(layout.details.get("keep", ())), layout.costs
+        guidance = "none" if layout.costs is None else name
+        tiles = _check_tiles(layout.layout, layout.domain)
+        return Plan(name, tiles, layout.domain, False, *own, guidance, facts)
     if domain is None:
         names = ", ".join(repr(name) for name in DOMAINS.names())
         raise InputError(f"an array does not say whose layout it is: give domain, one of {names}")
-    found, tiles = find_domain(domain), np.empty(0)
+    found = find_domain(domain)
+    return Plan(name, _check_tiles(layout, found), found, assumed=False)
+
+
+def _check_tiles(layout: Any, domain: Domain) -> np.ndarray:
+    """Return tiles as int8 [H, W]; InputError if they are none of the domain's."""
+    tiles = np.empty(0)
     with contextlib.suppress(ValueError):  # rows of several lengths
         tiles = np.asarray(layout)
     if tiles.ndim != 2 or tiles.dtype.kind not in "iu" or not tiles.size:
         raise InputError("a layout is an array of integers with rows and columns")
-    if tiles.min() < 0 or tiles.max() >= len(found.tiles):
-        raise InputError(f"tiles of {domain} are 0 to {len(found.tiles) - 1} ({found.tiles!r})")
-    return Plan(name, tiles.astype(np.int8), found, assumed=False)
+    if tiles.min() < 0 or tiles.max() >= len(domain.tiles):
+        known = f"0 to {len(domain.tiles) - 1} ({domain.tiles!r})"
+        raise InputError(f"tiles of {domain.name} are {known}")
+    return tiles.astype(np.int8)
 
 
 def open_run(run: Any) -> RunDirectory:

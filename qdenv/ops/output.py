@@ -8,6 +8,7 @@ import os.path
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -72,18 +73,18 @@ class Place(NamedTuple):
 
 
 def place(
-    out: str | Path | None, default: str, endings: Iterable[str] = (), inputs: Iterable[Any] = ()
+    out: Any, default: str, endings: Iterable[str] = (), inputs: Iterable[Any] = ()
 ) -> Place | None:
-    """Choose the file of a result, before any work is done; None if `out` is None.
+    """Choose the file of a result, before any work is done; None if `out` is None or False.
 
-    `AUTO` takes `default`, a name in the current folder, or the next free name like it
+    `AUTO`, or True, takes `default`, a name in the current folder, or the next free name like it
     (plan-2.json), which no other process gets from now on. Without `endings` it is data, which any
     but a picture's ending may name. Files among `inputs` are read, and must not be overwritten.
     Raises InputError if the ending is none of them, or the place is a folder, an input, read-only.
     """
-    if out is None:
+    if out is None or out is False:
         return None
-    path, endings = Path(out), tuple(endings)
+    path, endings = AUTO if out is True else Path(out), tuple(endings)
     if path == AUTO:
         return Place(reserve(Path(default)), False, True)
     ending = path.suffix.lower()
@@ -168,7 +169,8 @@ class Layout:
         the domain, is logged. Raises InputError if the format cannot hold the layout, or the place
         cannot be written to.
         """
-        own = self.domain.details
+        keep = {"keep": self.details["keep"]} if "keep" in self.details else {}
+        own = {**self.domain.details, **keep}
         facts = {**own.get("facts", {}), **self.details.get("facts", {})}
         details = {**own, **self.details} | ({"facts": facts} if facts else {})
         tiles, meanings, costs = self.domain.tiles, self.domain.meanings, self.costs
@@ -177,7 +179,7 @@ class Layout:
         lost = write_layout(path, self.layout, tiles, meanings, costs, **details)
         path = Path(path)
         if path.suffix.lower() in (".txt", ".csv"):
-            needed = bool(facts) or not is_plain(self.layout, self.domain)
+            needed = bool(keep or facts) or not is_plain(self.layout, self.domain)
             say(*write_facts(path, own | ({"facts": facts} if facts else {}), needed))
         else:
             say(*lost)
@@ -231,7 +233,9 @@ class Result(dict):
         return f"Result({values})"
 
     def _repr_html_(self) -> str:
-        return _table_html([self])
+        several = [one for one in self.values() if isinstance(one, list) and one]
+        tables = [[self], *(one for one in several if isinstance(one[0], dict))]
+        return "".join(map(_table_html, tables))
 
 
 class Table(list):
@@ -262,8 +266,8 @@ class Table(list):
 class UnsolvedError(InputError):
     """A task without a solution, and the facts that `--json` writes of it."""
 
-    def __init__(self, message: str, facts: Mapping[str, Any]) -> None:
-        """Fail with one line."""
+    def __init__(self, message: str, facts: Mapping[str, Any] = MappingProxyType({})) -> None:
+        """Fail with one line; to be unpickled, it can be made without facts."""
         super().__init__(message)
         self.facts = facts
 
@@ -271,10 +275,10 @@ class UnsolvedError(InputError):
 def _table_html(records: Sequence[Mapping[str, Any]]) -> str:
     """Draw records as a table: one as a list of its entries, several with a row for each."""
     rows = [_single_values(record) for record in records]
+    names = dict.fromkeys(name for row in rows for name in row)
+    lines: list[Iterable[str]] = [names, *([row.get(name, "") for name in names] for row in rows)]
     if len(rows) == 1:
-        lines: list[Iterable[str]] = [*rows[0].items()]
-    else:
-        lines = [*rows[:1], *(row.values() for row in rows)]
+        lines = [*rows[0].items()]
     cells = ["".join(f"<td>{html.escape(cell)}</td>" for cell in line) for line in lines]
     return "<table>" + "".join(f"<tr>{line}</tr>" for line in cells) + "</table>"
 
@@ -283,11 +287,11 @@ def _single_values(facts: Mapping[str, Any]) -> dict[str, str]:
     """Format what is a single value; the cell of an elite, a tuple, is one."""
     shown = {}
     for name, value in facts.items():
-        if isinstance(value, tuple):
+        if isinstance(value, tuple) and all(isinstance(one, int) for one in value):
             shown[name] = ",".join(map(str, value))
         elif isinstance(value, float | np.floating):
             # Four significant digits tell numbers apart in a notebook; --json has them all.
             shown[name] = f"{value:.4g}"
-        elif not isinstance(value, list | dict):
+        elif not isinstance(value, list | dict | tuple):
             shown[name] = str(value)
     return shown

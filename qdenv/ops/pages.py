@@ -144,8 +144,8 @@ def _replay_fleet(
     """Simulate a fleet once and make its page."""
     agents, timesteps, note = options.usual(plan, agents)
     films.check_end(timesteps)
-    fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     config = options.config(agents, timesteps)
+    fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     with Bar("simulating") as bar:
         motion, traffic = studies.record_fleet(plan, config, seed, bar)
     about = about_fleet(plan, config, seed, motion, traffic)
@@ -246,7 +246,7 @@ def report(
         ``qdenv report before.txt after.txt --robots 60``
     """
     require_package("pages", "jinja2")
-    given = list(sources) if isinstance(sources, list | tuple) else [sources]
+    given = list(sources) if type(sources) in (list, tuple) else [sources]
     target = place(out, "report.html", (".html",), given)
     counts, options, subjects = parse_counts(agents), args.Fleet(fleet), []
     for one in given:

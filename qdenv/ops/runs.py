@@ -144,7 +144,7 @@ def generate(
         out: layout file to write (.json, .txt, .csv, .xlsx, .dxf), with a picture beside it; by
             default layout.json.
         **numbers: exact numbers of tiles; by default those known for the size, or else scaled
-            with the area. In Python also ``steps``, ``seed`` and ``polish``.
+            with the area. In Python also what `growth` holds, like ``steps`` and ``seed``.
 
     Returns:
         the layout, with elite, steps and repair among its facts.
@@ -155,7 +155,7 @@ def generate(
     Examples:
         ``qdenv generate zoo:warehouse-even/best --rows 57 --cols 58 --out plan.txt``
     """
-    stated: Any = {name: numbers.pop(name) for name in {"steps", "seed", "polish"} & numbers.keys()}
+    stated: Any = {name: numbers.pop(name) for name in vars(growth).keys() & numbers.keys()}
     growth = dataclasses.replace(growth, **stated)
     if not repair and (numbers or growth.polish or growth.seed is not None):
         raise InputError("without repair: leave out numbers of tiles, seed and polish")
@@ -264,7 +264,7 @@ def series(
         grown.append(studies.details(item))
         details = grown[-1] | {"domain": domain.name}
         target = place(folder and folder / f"nca_{rows}x{cols}.json", "layout.json")
-        made = Layout(item.layout, domain, details, details, item.costs)
+        made = Layout(item.layout, domain.resized(rows, cols), details, details, item.costs)
         layouts.append(save_with_picture(made, target))
         if human:
             name = folder and folder / f"human_{rows}x{cols}.json"

@@ -169,7 +169,7 @@ class _Fleets:
         which 200 agents are usual. `name` is that of the table, unless `study` states another. The
         planners of `study` may be `several`.
         """
-        layouts = list(layouts) if isinstance(layouts, list | tuple) else [layouts]
+        layouts = list(layouts) if type(layouts) in (list, tuple) else [layouts]
         fleets = args.each_planner(study) if several else [args.Fleet(study, args.StudyOptions)]
         options, stated, self._width = fleets[0], parse_counts(agents), study.get("width") or PAGE
         options.config(max(stated, default=1))  # refuses what makes no simulation
@@ -273,10 +273,9 @@ class _Fleets:
             figure = draw_peaks(rows, peaks, width) if peaks else draw_comparison(rows, width)
             save_figure(figure, self._picture.path)
         for row in [row for row in rows if row.fading > FADING][:_MOST_WARNINGS]:
-            say(
-                f"{row.name}: with {row.agents} agents a jam builds up, throughput falls by "
-                f"{row.fading:.0%} with time: more timesteps show where that ends"
-            )
+            falls = f"throughput falls by {row.fading:.0%} with time"
+            jam = f"{row.name}: with {row.agents} agents a jam builds up"
+            say(f"{jam}, {falls}: more timesteps show where that ends")
         say(*filter(None, [", ".join(str(one) for one in (self._table, self._picture) if one)]))
         lines = [
             row._asdict()

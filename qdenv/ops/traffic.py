@@ -74,8 +74,8 @@ def simulate(
         most = MOST_SHOWN // agents
         raise InputError(f"--paths: of {agents} robots at most {most} timesteps are written")
     with studies.about(name):
-        fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
         config = options.config(agents, timesteps)
+        fleet_tasks(plan.layout, plan.domain.simulator.tasks, agents)
     # This imports the simulator: refusals are faster without it.
     from qdenv.study.traffic import examine, facts_of
 
@@ -112,8 +112,7 @@ def simulate(
         from qdenv.view.traffic import draw_traffic, make_scene
 
         title = f"{format_name(plan.name)}, {agents} agents{judgement}"
-        scene = make_scene(plan, study, options.stop)
-        picture.draw(draw_traffic(scene, title, width or SCREEN))
+        picture.draw(draw_traffic(make_scene(plan, study, options.stop), title, width or SCREEN))
     return Result(facts | {"settings": options.settings(timesteps, [plan])})
 
 

@@ -1,5 +1,6 @@
 """The archive that a run saved: its elites by cell, by measures, or all as a table."""
 
+import contextlib
 import html
 import io
 import math
@@ -176,9 +177,8 @@ class SavedArchive:
         except (ValueError, TypeError, OverflowError) as error:
             text = which if isinstance(which, str) else str(which).strip("()[]")
             known = " or ".join(f'"{name}"' for name in self.names or ("best",))
-            raise InputError(
-                f'elite {text!r}: give {known} or indices below {self.shape} like "3,7"'
-            ) from error
+            indices = f'indices below {self.shape} like "3,7"'
+            raise InputError(f"elite {text!r}: give {known} or {indices}") from error
         rows = np.flatnonzero(self.columns["index"] == number)
         if len(rows) == 0:
             distance = np.abs(self.cells - np.array(cell)).sum(axis=1)
@@ -189,8 +189,10 @@ class SavedArchive:
 
     def _nearest(self, values: Sequence[float]) -> int:
         """Find the row of the elite at some measures, or nearest to them."""
-        axes = self.schema.measures
-        point = np.asarray(values, float).reshape(-1)
+        axes, point = self.schema.measures, np.empty(0)
+        with contextlib.suppress(TypeError, ValueError):
+            own = [*values.values()] if isinstance(values, Mapping) else values
+            point = np.asarray(own, float).reshape(-1)
         if point.shape != (len(axes),) or not np.isfinite(point).all():
             names = ", ".join(repr(axis.name) for axis in axes)
             raise InputError(f"measures {values}: give a number for each of {names}")
@@ -258,6 +260,7 @@ class SavedArchive:
 
         Raises InputError if the place cannot be written to, or pyarrow is not installed.
         """
+        path = Path(path)
         if path.suffix.lower() != ".parquet":
             table = self.table(solutions)
             # As numpy's numbers: Python's would show digits that single precision does not hold.
@@ -275,7 +278,7 @@ class SavedArchive:
         """Write each elite's layout into `folder`, as 12_40.json of the domain called `domain`."""
         for elite in self.elites():
             details = {"objective": elite.objective, "measures": dict(elite.measures)}
-            path = folder / f"{'_'.join(map(str, elite.cell))}.json"
+            path = Path(folder) / f"{'_'.join(map(str, elite.cell))}.json"
             write_layout(path, elite.layout, self.schema.tiles, domain=domain, **details)
 
     def to_ribs(self, fields: Sequence[str] = ()) -> "ribs.archives.GridArchive":

@@ -75,10 +75,9 @@ def load_newest(run: Path, initial: Any, settings: Mapping[str, Any]) -> tuple[i
         for name, value in settings.items():
             # Only names in both are compared, as new versions add some.
             if manifest.settings.get(name, value) != value:
-                raise InputError(
-                    f"{run}: its checkpoint was made with {name} {manifest.settings[name]}, now "
-                    f"it is {value}: put that back, or train in another folder"
-                )
+                made = f"its checkpoint was made with {name} {manifest.settings[name]}"
+                cure = "put that back, or train in another folder"
+                raise InputError(f"{run}: {made}, now it is {value}: {cure}")
         return manifest.iteration, state
     return 0, initial
 

@@ -297,9 +297,8 @@ def check(config: RunConfig) -> None:
         blocked = sum(bound.low for bound in rules.counts if not drivable & set(bound.tiles))
         free = rows * cols - blocked
         if fleet.agents > free:
-            room = f"layouts of {rows} x {cols} have at most {free} free cells"
-            cure = f"start with a quarter of that, {free // 4}"
-            raise InputError(f"{fleet.agents} agents do not fit: {room}; {cure}")
+            room = f"at most {free} free cells; start with a quarter of that, {free // 4}"
+            raise InputError(f"{fleet.agents} agents do not fit: {rows} x {cols} has {room}")
     for axis in archive_axes(domain.measures, config.archive):
         most = domain.limit_of(axis)
         if (most is not None and axis.low >= most) or axis.high <= 0:

@@ -136,7 +136,7 @@ class RunDirectory:
         Raises InputError if there is no run, or a newer qdenv wrote it.
         """
         shipped = find(path)
-        run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(path))
+        run = cls(HOME / shipped.collection.domain, shipped) if shipped else cls(Path(str(path)))
         for name in ("config.json", "manifest.json"):
             if not (run.path / name).exists():
                 inside = sorted(one.parent.name for one in run.path.glob("*/manifest.json"))

@@ -34,7 +34,7 @@ class Experiment(NamedTuple):
         axes = tuple((float(axis.low), float(axis.high), axis.cells) for axis in self.measures)
         content = config_to_json(dataclasses.replace(config, archive=axes))
         # As text and back: comparable with what a checkpoint holds.
-        settings = flatten_dict(json.loads(json.dumps(content)), sep=".")
+        settings = flatten_dict(json.loads(json.dumps(content, default=np.generic.item)), sep=".")
         reads = self.pipeline.domain.reads()
         return {f"the {name} of checksum": reads[name] for name in reads} | {
             name: value

@@ -229,9 +229,8 @@ class Publisher:
             ]
             write_csv(self._run.path / NOTES, list(self._notes[0]), table)
         if failed.all() and not filled:
-            cure = "fewer shelves, narrower aisles or smaller racks may do"
-            none = f"none of {failed.size} layouts could be repaired"
-            raise InputError(f"{none}, the rules leave too little room: {cure}")
+            cure = "allow fewer shelves, narrower aisles or smaller racks"
+            raise InputError(f"none of {failed.size} layouts could be repaired: {cure}")
         return row
 
     @property

@@ -183,8 +183,7 @@ def make_emitters(config: CmaMaeConfig, start: jax.Array) -> Emitters:
         return EmittersState(states, keys, jnp.int32(0), jnp.zeros(emitters, jnp.int32))
 
     def ask(state: EmittersState, key: jax.Array) -> tuple[jax.Array, EmittersState]:
-        each = jax.random.split(key, emitters)
-        solutions, states, keys = jax.vmap(ask_one)(state.strategy, each)
+        solutions, states, keys = jax.vmap(ask_one)(state.strategy, jax.random.split(key, emitters))
         chex.assert_shape(solutions, (emitters, batch, start.shape[0]))
         return solutions.reshape(emitters * batch, -1), state._replace(strategy=states, keys=keys)
 

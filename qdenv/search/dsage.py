@@ -194,9 +194,8 @@ def choose_waiting(
     block_key, order_key = jax.random.split(key)
     drawn, cells = draw_per_block(block_key, predicted.filled, block), len(block)
     size = len(fresh)
-    order = jax.random.uniform(order_key, drawn.shape)
     # Elites of blocks come first (1 to 2), then other elites (0 to 1), then empty cells (-1).
-    priority = jnp.where(predicted.filled, order + drawn, -1.0)
+    priority = jnp.where(predicted.filled, jax.random.uniform(order_key, drawn.shape) + drawn, -1.0)
     priority = jnp.pad(priority, (0, max(size - cells, 0)), constant_values=-1.0)
     value, cell = jax.lax.top_k(priority, size)
     elites = predicted.genotypes[jnp.minimum(cell, cells - 1)]

@@ -69,8 +69,7 @@ def screened(config: ScreenedConfig, problem: Problem, x0: Array | None = None) 
             lambda: jax.lax.map(improvement, offspring),
             lambda: jnp.zeros(offspring.shape[:2]),
         )
-        best = jnp.argmax(value, axis=0)
-        chosen = jnp.take_along_axis(offspring, best[None, :, None], axis=0)[0]
+        chosen = jnp.take_along_axis(offspring, jnp.argmax(value, axis=0)[None, :, None], axis=0)[0]
         known = known._replace(fitted=fitted, losses=losses)
         return chosen, state._replace(key=key, inner=inner_state, model=known)
 

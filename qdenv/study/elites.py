@@ -232,7 +232,8 @@ def grow_sizes(
     repair, the run's own unless given; `rules` are settings of aisles and racks. Raises InputError
     if there is no such elite, a size is impossible, or a list has another length than `sizes`.
     """
-    given = dict(numbers or {})
+    given = {name: np.atleast_1d(one).tolist() for name, one in (numbers or {}).items()}
+    steps = np.atleast_1d(steps).tolist()
     for name, values in {"steps": steps, **given}.items():
         if values and len(values) != len(sizes):
             raise InputError(f"{len(values)} numbers of {name} for {len(sizes)} sizes: give all")

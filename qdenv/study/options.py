@@ -146,22 +146,19 @@ def _read_cells(rows: Sequence[str], domain: Domain, symbols: np.ndarray | None)
     check_shape(rows, domain.shape)
     drawn = np.array([list(row) for row in rows], object)
     for row, column in np.argwhere(~np.isin(drawn, list(FREE + SAME + domain.tiles))):
-        raise InputError(
-            f"row {row}, column {column}: {drawn[row, column]!r} is no tile of {domain.name}: draw "
-            f"{FREE!r} where anything may be, {SAME!r} for what the plan holds, or one of "
-            f"{alphabet(domain.tiles, domain.meanings)}"
-        )
+        none = f"{drawn[row, column]!r} is no tile of {domain.name}"
+        others = f"{FREE!r} where anything may be, {SAME!r} for what the plan holds"
+        cure = f"draw {others}, or one of {alphabet(domain.tiles, domain.meanings)}"
+        raise InputError(f"row {row}, column {column}: {none}: {cure}")
     if symbols is None:
         for row, column in np.argwhere(drawn == SAME):
-            none = f"{SAME!r} stands for the plan's tile, and no plan is given"
-            cure = "add --plan FILE, or draw the tile itself"
-            raise InputError(f"row {row}, column {column}: {none}: {cure}")
+            none = f"{SAME!r} stands for a plan's tile: add --plan FILE, or draw the tile itself"
+            raise InputError(f"row {row}, column {column}: {none}")
         return drawn
     for row, column in np.argwhere((drawn != FREE) & (drawn != SAME) & (drawn != symbols)):
-        raise InputError(
-            f"row {row}, column {column}: {drawn[row, column]!r} is to stay, but the plan holds "
-            f"{symbols[row, column]!r} there: change one of the two, or draw {FREE!r}"
-        )
+        stays = f"{drawn[row, column]!r} is to stay, but the plan holds {symbols[row, column]!r}"
+        cure = f"change one of the two, or draw {FREE!r}"
+        raise InputError(f"row {row}, column {column}: {stays} there: {cure}")
     return np.where(drawn == SAME, symbols, drawn)
 
 

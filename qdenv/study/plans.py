@@ -55,6 +55,13 @@ class Plan(NamedTuple):
         return Floor(self.layout, costs if np.ptp(costs[existing_moves(free)]) else None)
 
     @property
+    def details(self) -> dict[str, Any]:
+        """What its file states beside domain and tiles, as in a layout file: facts, what stays."""
+        facts = {**self.facts.details.get("facts", {}), **self.domain.details.get("facts", {})}
+        facts |= {"shelves": self.facts.shelves} if self.facts.shelves else {}
+        return {name: one for name, one in (("facts", facts), ("keep", self.keep)) if one}
+
+    @property
     def whose(self) -> str:
         """Whose layout it is, and how that is known, as commands print it."""
         cut_off = f", {self.closed} cells cut off from the largest part are closed"
@@ -284,8 +291,7 @@ def _read_costs(path: str, plan: Plan) -> np.ndarray:
         raise InputError(f'{path}: no costs of moves, which JSON holds under "weights"')
     domain, free = plan.domain, plan.domain.drivable(plan.layout)
     if rows:
-        drawn = to_layout(rows, path, domain.tiles, domain.meanings, domain.name)
-        theirs = domain.drivable(drawn)
+        theirs = domain.drivable(to_layout(rows, path, domain.tiles, domain.meanings, domain.name))
         if theirs.shape != free.shape:
             sizes = "{} x {}, {} is {} x {}".format(*theirs.shape, plan.name, *free.shape)
             raise InputError(f"{path}: costs of moves on {sizes}")

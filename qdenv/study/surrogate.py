@@ -108,8 +108,7 @@ def try_surrogate(
     they predict the repaired layout from the drawn one, then objective and measures from that. A
     seed is that of the split and of the networks' initial weights.
     """
-    shape = elites.drawn.shape[1], elites.drawn.shape[2]
-    encoding = Encoding(shape, elites.kinds, elites.repairs)
+    encoding = Encoding(elites.drawn.shape[1:3], elites.kinds, elites.repairs)
     stages, init, fit_part, predict = _compile(config, encoding, elites.numbers.shape[1] - 1)
     parts = [(name, epoch) for name in stages for epoch in range(config.epochs)]
     splits = []

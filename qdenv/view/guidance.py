@@ -57,8 +57,7 @@ def draw_guidance(free: np.ndarray, costs: np.ndarray, moves: np.ndarray, title:
     move, `moves` ([5, H, W]) what `recordings.count_moves` counts.
     """
     side = float(np.clip(_CELL * free.shape[1], SCREEN / 2, SCREEN))  # inches of a panel
-    size = side, side * aspect_of(free) + 0.7
-    figure, (first, second) = new_grid(2, 2, size, (0, 0.3))
+    figure, (first, second) = new_grid(2, 2, (side, side * aspect_of(free) + 0.7), (0, 0.3))
     figure.suptitle(title)
     draw_preferences(first, free, costs)
     draw_flow(second, free, costs, moves)

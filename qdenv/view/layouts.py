@@ -163,8 +163,7 @@ def draw_sheet(
     A picture is a layout (int8 [H, W]), its alphabet, its title and a note below it.
     """
     tallest = max(layout.shape[0] / layout.shape[1] for layout, *_ in pictures)
-    size = width, width * tallest + 0.6
-    figure, panels = new_grid(len(pictures), across, size, dpi=SCREEN_DPI)
+    figure, panels = new_grid(len(pictures), across, (width, width * tallest + 0.6), dpi=SCREEN_DPI)
     for axes, (layout, tiles, title, note) in zip(panels, pictures, strict=True):
         legend = draw_layout(layout, tiles, axes).get_legend()
         assert legend is not None

@@ -74,8 +74,7 @@ def draw_progress(groups: Sequence[Group], objective: str, width: float = PAGE) 
                 axes.fill_between(group.evaluations, low, high, color=colour, alpha=0.2, lw=0)
         axes.set(title=title, ymargin=0.1)
         if name != "best_objective":  # it hardly moves, seen from zero
-            lowest = min(float(group.curves[name].min()) for group in groups)
-            axes.set_ylim(bottom=min(0.0, lowest))
+            axes.set_ylim(bottom=min(0.0, *(group.curves[name].min() for group in groups)))
         axes.grid()
         if name == "coverage":
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -122,8 +121,7 @@ def draw_archives(
             axes.set_ylabel("")  # its left neighbour names the same axis
     assert image is not None
     look: Any = {"location": "bottom", "shrink": 0.6, "aspect": 40}
-    bar = figure.colorbar(image, ax=panels, label=objective, **look)
-    bar.outline.set_linewidth(0.4)
+    figure.colorbar(image, ax=panels, label=objective, **look).outline.set_linewidth(0.4)
     return figure
 
 

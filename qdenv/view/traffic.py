@@ -69,8 +69,7 @@ def draw_traffic(scene: Scene, title: str, width: float = SCREEN) -> Figure:
     """
     across = 2 if width >= ABREAST else 1
     tall = aspect_of(scene.free)
-    guided = () if scene.costs is None else ("guidance", "flow")
-    kinds = (*_COLOURS, "time", *guided)
+    kinds = (*_COLOURS, "time", *(() if scene.costs is None else ("guidance", "flow")))
     down = len(kinds) // across
     figure = new_figure(width, down * ((width / across - _BESIDE) * tall + _TITLES) + 0.3)
     figure.suptitle("\n".join(wrap(title, int(13 * width))))  # 13 letters fit an inch

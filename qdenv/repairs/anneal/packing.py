@@ -267,8 +267,7 @@ def _pack_narrow(
     """
     rules = facts.rules
     lines = np.moveaxis(rules.allowed, axis, 0)
-    changes = np.flatnonzero((lines[1:] != lines[:-1]).any((1, 2))) + 1
-    ends = np.array([0, *changes, len(lines)])
+    ends = np.array([0, *(np.flatnonzero((lines[1:] != lines[:-1]).any((1, 2))) + 1), len(lines)])
     longest = int(np.diff(ends).argmax())
     first, last = int(ends[longest]) + _NARROW, int(ends[longest + 1])
     if first >= last:

@@ -137,8 +137,7 @@ class WindowSearch:
             # Rows that hold whatever happens are left out, and those the window does not touch: of
             # the negative terms at most one is set, as a cell takes one role.
             terms = needed.terms()
-            least = np.where(terms, needed.values, 0.0).min(-1)
-            used = terms.any(1) & (least < needed.low)
+            used = terms.any(1) & (np.where(terms, needed.values, 0.0).min(-1) < needed.low)
             columns, values, low, high = (field[used] for field in needed)
             rows.append(Constraints(columns, -values, -high, -low))
         outside = np.bincount(self.roles.ravel(), minlength=len(facts.roles))

@@ -151,8 +151,7 @@ def replay_tasks(
             broken.append(f"t={time}: agent {np.argmax(left)} cuts a stay short")
         # A third goal since the last planning was unknown then: a stay there has to wait.
         stay = stays[kind, goal]
-        known = (legs < 2) | (stay == 0)
-        arrived = ~serving & (cell == goal) & known
+        arrived = ~serving & (cell == goal) & ((legs < 2) | (stay == 0))
         remaining = np.where(serving, remaining - 1, np.where(arrived, stay, 0))
         done = (serving | arrived) & (remaining == 0)
         finished[time], working[time + 1] = done, remaining > 0

@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.grid import MOVES, fixed_point, of_tiles
+from qdenv.ranges import PositiveInt, check_range
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.agents import FleetState, drive, place
 from qdenv.simulation.mapf.goals import check_playable
@@ -113,8 +114,8 @@ class Environment:
         InputError if the fleet could not work on a layout, a number is below one, or tasks of the
         `rule` arrive at a rate.
         """
-        if agents < 1 or timesteps < 1:
-            raise InputError("an environment needs at least one robot and one timestep")
+        check_range("agents", agents, PositiveInt)
+        check_range("timesteps", timesteps, PositiveInt)
         if rule.rate:
             raise InputError("robots of an environment always have a task: leave the rate out")
         layouts = layout.reshape(-1, *layout.shape[-2:])
@@ -154,7 +155,8 @@ class Environment:
         Returns the next state, and observation, rewards and refusals.
         """
         fleet, seed, world = state.fleet, state.seed, self._world(state.layout)
-        ahead = self.targets(fleet.position, jnp.asarray(actions), state.layout)
+        actions = jnp.asarray(actions)
+        ahead = self.targets(fleet.position, actions, state.layout)
         cell = jnp.where(fleet.remaining_service > 0, fleet.position, ahead)
         cell = settle(fleet.position, cell, world.traversable.size)
         drawn = chance.draw(chance.draw(seed, chance.GOALS), state.time)
@@ -179,8 +181,7 @@ class Environment:
         """
         rows, cols = self.free.shape[-2:]
         steps = jnp.array([*MOVES, (0, 0)], jnp.int32)
-        known = (actions >= 0) & (actions < self.actions)
-        step = steps[jnp.where(known, actions, WAIT)]
+        step = steps[jnp.where((actions >= 0) & (actions < self.actions), actions, WAIT)]
         row, col = position // cols + step[:, 0], position % cols + step[:, 1]
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
         target = jnp.where(inside, row * cols + col, position)

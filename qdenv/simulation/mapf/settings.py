@@ -86,9 +86,8 @@ class FleetConfig(Ranged):
         super().__post_init__()
         if self.timesteps > _MOST_TIMESTEPS or self.agents * self.timesteps > MOST_STEPS:
             most = max(1, min(_MOST_TIMESTEPS, MOST_STEPS // self.agents))
-            long = f"{self.agents} agents over {self.timesteps} timesteps"
-            cure = f"simulate at most {most} timesteps"
-            raise InputError(f"{long} are more than a run can count: {cure}")
+            long = f"{self.agents} agents over {self.timesteps} timesteps are too many to count"
+            raise InputError(f"{long}: simulate at most {most} timesteps")
         if self.horizon > self.window:
             raise InputError(f"a horizon of {self.horizon} is beyond the window, {self.window}")
         PLANNERS.name_of(self.planner)

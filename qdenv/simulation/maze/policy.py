@@ -149,9 +149,8 @@ def check_weights(weights: Weights, source: str) -> Weights:
         raise InputError(f"{source} is no agent: it needs at least 3 actions")
     for array, (name, shape) in zip(weights, sizes.items(), strict=True):
         if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
-            raise InputError(
-                f"{source} is no agent: {name} is {array.dtype} {array.shape}, not float {shape}"
-            )
+            other = f"{name} is {array.dtype} {array.shape}, not float {shape}"
+            raise InputError(f"{source} is no agent: {other}")
         if not np.isfinite(array).all():
             raise InputError(f"{source} is damaged: {name} holds numbers that are not finite")
     return Weights(*(np.asarray(array, np.float32) for array in weights))

@@ -111,8 +111,7 @@ def rollout(world: World, state: AgentState, horizon: int, key: jax.Array) -> ja
 
     begin = (state.position, jnp.zeros_like(state.age), state.remaining_service, state.age)
     _, cells = jax.lax.scan(step, begin, jnp.arange(horizon, dtype=jnp.uint32))
-    window = state.previous.shape[0] - 1
-    still = jnp.broadcast_to(cells[-1], (window - horizon, count))
+    still = jnp.broadcast_to(cells[-1], (state.previous.shape[0] - 1 - horizon, count))
     return jnp.concatenate([state.position[None], cells, still])
 
 
