@@ -185,7 +185,7 @@ def test_runs_on_a_batch_of_layouts_begin_again_by_themselves():
 def test_what_makes_no_environment_is_refused():
     with pytest.raises(InputError, match="12 agents"):
         Environment(ROOM, PLAIN, 12)
-    with pytest.raises(InputError, match="at least one robot"):
+    with pytest.raises(InputError, match="agents must be at least 1"):
         Environment(ROOM, PLAIN, 0)
     with pytest.raises(InputError, match="no 'e'"):
         Environment(parse(["..w"], TILES), PLAIN, 1)
