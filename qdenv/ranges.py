@@ -77,9 +77,8 @@ def read_range(name: str, value: Any) -> tuple[int, int]:
     numbers = re.fullmatch(r"(-?\d{1,9})(?::(\d{1,9}))?", str(value), re.ASCII)
     low, high = (int(numbers[1]), int(numbers[2] or numbers[1])) if numbers else (0, -1)
     if low > high:
-        raise InputError(
-            f"{name} {value!r}: write 1100, or a range from few to many like 1000:1200"
-        )
+        form = "a range from few to many like 1000:1200"
+        raise InputError(f"{name} {value!r}: write 1100, or {form}")
     if low < 0:
         raise InputError(f"{value} {name}: give 0 or more")
     return low, high

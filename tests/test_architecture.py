@@ -284,7 +284,7 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 32_719,
+    "lines": 32_716,
     "files": 192,
     "records": 195,
     "public names": 1_213,

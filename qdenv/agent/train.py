@@ -283,9 +283,8 @@ def train_agent(
             save_weights(state.weights, out / "agents" / f"{done:06}.npz")
             leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
             write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
-            advise(
-                f"`qdenv resume {quote(str(out))}` goes on"
-            )  # not before: there is nothing to resume
+            # Not before: there was nothing to resume.
+            advise(f"`qdenv resume {quote(str(out))}` goes on")
             row |= choose(out, config.average, examine)
             with (out / "curve.jsonl").open("a") as log:
                 log.write(json.dumps(row) + "\n")

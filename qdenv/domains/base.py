@@ -380,5 +380,5 @@ def check_shape(keep: Sequence[str], shape: tuple[int, int]) -> None:
     if (rows, cols) != shape or any(len(row) != cols for row in keep):
         size = "{} x {}".format(*shape)
         raise InputError(
-            f"the drawing of cells to keep has {rows} x {cols} cells, the layout {size}"
+            f"the drawing of cells to keep has {rows} x {cols} cells, the layout {size}: draw all"
         )

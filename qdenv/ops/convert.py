@@ -73,9 +73,8 @@ def convert(
     details = {**drawing.details, **stated, **own, **side}
     if chosen in ("text", "csv"):
         say(*write_facts(written.path, {"domain": found.name, **own}, bool(own)))
-        details = {
-            one: fact for one, fact in details.items() if one not in ("cell", "facts", "keep")
-        }
+        for fact in ("cell", "facts", "keep"):
+            details.pop(fact, None)
     weights = None
     if plan.costs is not None:
         weights = weights_of(np.where(found.drivable(plan.layout), plan.costs, np.inf))
