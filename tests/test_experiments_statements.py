@@ -273,6 +273,7 @@ def test_the_page_says_what_table_5_shows():
         ((even, "a0", small), paper[even, "a0", 200], "= 0 moves **{} and {} % more** than ours"),
         ((even, "a1", small), paper[even, "a1", 200], "= 1 {1} % more than ours under PBS."),
         ((uneven, "cma-es", small), paper[uneven, "cma-es", 200], "moves **{} and {} % more**. At"),
+        ((uneven, "a0", small), paper[uneven, "a0", 200], "**{} and {} % more** at 33 × 36 (than"),  # noqa: RUF001
     ):
         assert text.format(*(more(theirs, one) for one in own[key])) in PAGE
     for key, theirs, text in (
@@ -283,6 +284,8 @@ def test_the_page_says_what_table_5_shows():
         assert text.format(*(f"{100 * (1 - one / theirs):.1f}" for one in own[key])) in PAGE
     good = {key[:2]: pair[1][0] for key, pair in moved.items() if key[2] == large}
     assert good[even, "cma-mae"] == good[even, "cma-es"] == good[uneven, "cma-es"] == 0
+    theirs = more(paper[uneven, "a0", 1000], own[uneven, "a0", large][0])
+    assert good[uneven, "a0"] == 0 and f"and {theirs} % more at 101 × 102 under our" in PAGE  # noqa: RUF001
     these = more(own[uneven, "cma-mae", large][1], paper[uneven, "nca", 1000])
     assert f"{good[uneven, 'cma-mae']} of 50 (paper 84 %); these move {these} % more." in PAGE
     assert f"than in the paper**, {good[uneven, 'zoo']} of 50 (paper 84 %), and" in PAGE
@@ -392,8 +395,10 @@ def test_the_page_sets_ours_beside_the_papers_own_layouts():
     for (domain, maker, size), one in mean.items():
         paper = float(theirs[domain.replace("-", "_")]["throughput"])
         if domain != even and maker != "cma-es" and size == small and one < paper:
-            less[domain, maker] = f"moves less, by {100 * (1 - one / paper):.1f} %."
-    assert [*less] == [(uneven, "cma-mae")] and less[uneven, "cma-mae"] in PAGE
+            less[domain, maker] = f"{100 * (1 - one / paper):.1f} %"
+    assert {*less} == {(uneven, "cma-mae"), (uneven, "a0")}
+    text = "move less, by {} (alpha = 5) and {} (alpha = 0)."
+    assert text.format(less[uneven, "cma-mae"], less[uneven, "a0"]) in PAGE
 
 
 def test_the_page_states_the_peaks_and_what_congests():
