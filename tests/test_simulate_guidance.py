@@ -166,7 +166,7 @@ def test_impossible_costs_are_refused():
     free = np.ones((3, 4), bool)
     ones = np.ones((NUM_MOVES, 3, 4))
     for costs, message in (
-        (ones[:4], "shape 5 x rows x columns"),
+        (ones[:4], r"have the shape \(5, 3, 4\), not \(4, 3, 4\)"),
         (-ones, "above zero"),
         (np.full_like(ones, np.nan), "above zero"),
         (np.where(np.arange(5)[:, None, None] == WAIT, np.inf, ones), "finite for waiting"),
