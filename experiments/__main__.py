@@ -1,8 +1,6 @@
 """List the paper's figures and tables, draw them from saved results, make what is missing."""
 
 import contextlib
-import shlex
-import sys
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -141,7 +139,7 @@ def main(
     if chosen == ["all"]:
         chosen = [name for name in names() if find(name).drawable(folders)]
     if making is not None:
-        interrupt.advise(f"`python -m experiments {shlex.join(sys.argv[1:])}` goes on")
+        interrupt.advise()
         with contextlib.ExitStack() as stack:
             if executor != "threads":
                 client = stack.enter_context(execution.connect())

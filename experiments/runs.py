@@ -146,7 +146,7 @@ def whole_run(
 
     Raises InputError if the folder holds a run with other settings.
     """
-    interrupt.advise(interrupt.advice())  # of the script, not of one of its runs
+    interrupt.advise()  # the script goes on, not one of its runs
     if not (path / "config.json").exists():
         report(f"{path}: begins; an interruption loses minutes at most")
         return train(config, path, execution=execution, start=start)

@@ -23,8 +23,8 @@ _LOOK_SECONDS = 0.05
 
 unfinished: set[str] = set()  # files under way, which are deleted
 reserved: set[str] = set()  # names of results to come, which are deleted while they are empty
-_anew: list[str] = [""]  # how to begin this program again; "" in a notebook
-_way: list[str] = [""]  # how to go on
+_again: list[str] = [""]  # the command of this program, in backticks; "" in a notebook
+_way: list[str] = [""]  # the command that goes on
 _unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
 undisturbed = threading.Lock()  # held by whoever changes what would be saved
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -37,7 +37,7 @@ def watch(program: str = "qdenv") -> None:
     """
     if signal.getsignal(signal.SIGINT) is _ignore:
         return
-    _anew[0] = f"`{program} {shlex.join(sys.argv[1:])}` runs it again"
+    _again[0] = f"`{program} {shlex.join(sys.argv[1:])}`"
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     # Python's own handler does nothing; the number of the signal arrives at the socket at once.
@@ -116,18 +116,20 @@ def discard_unfinished() -> None:
     reserved.clear()
 
 
-def advise(way: str) -> None:
-    """Set how to go on after an interruption, like "`qdenv resume runs/first` goes on".
+def advise(folder: object = None) -> None:
+    """Say that `qdenv resume` with a run's folder goes on after an interruption, or this program.
 
     In a program the first call counts: later ones are about a part of the same work.
     """
-    if not (_anew[0] and _way[0]):
-        _way[0] = way
+    if not (_again[0] and _way[0]):
+        _way[0] = f"`qdenv resume {shlex.quote(str(folder))}`" if folder else _again[0]
 
 
 def advice() -> str:
     """Return how to go on after an interruption; "" if nothing is known."""
-    return _way[0] or _anew[0]
+    if _way[0]:
+        return f"{_way[0]} goes on"
+    return f"{_again[0]} runs it again" if _again[0] else ""
 
 
 def last_words() -> str:

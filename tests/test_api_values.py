@@ -89,3 +89,4 @@ def test_a_failure_survives_pickling_and_results_show_their_lists():
     error = pickle.loads(pickle.dumps(UnsolvedError("no", {"a": 1})))
     assert str(error) == "no" and error.facts == {"a": 1}
     assert "warehouse-even" in qdenv.layout_symbols()._repr_html_()
+    assert qdenv.check([[0]], domain="map")._repr_html_() == "<p>no rows</p>"

@@ -284,12 +284,12 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 32_716,
+    "lines": 32_708,
     "files": 192,
     "records": 195,
     "public names": 1_213,
     "class names used twice": 0,
-    "functions of two lines": 325,
+    "functions of two lines": 324,
 }
 # Functions of the package that can be reached by plain calls from an entry point.
 MOST_REACHED = {

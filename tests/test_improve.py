@@ -187,7 +187,7 @@ def test_interrupted_and_resumed_with_other_workers_it_ends_the_same(
     line = ["improve", str(plan), "--evaluations", "128", *SHORT, "--out", str(folder)]
     with monkeypatch.context() as patch:
         patch.setattr(studies, "judge", stop)
-        patch.setattr(interrupt, "_anew", ["`qdenv improve` runs it again"])  # as in a program
+        patch.setattr(interrupt, "_again", ["`qdenv improve`"])  # as in a program
         patch.setattr(interrupt, "_way", [""])
         assert run([*line, "--executor", "threads", "--workers", "2"]) == 130
     assert capsys.readouterr().err.endswith(f"stopped; `qdenv resume {folder}` goes on\n")

@@ -20,9 +20,9 @@ import sys
 from qdenv.interrupt import advise, watch
 watch()
 sys.argv = ["qdenv", "simulate", "a plan.txt"]
-if {advice!r}:
-    advise({advice!r})
-    advise("`qdenv resume runs/a/part` goes on")
+if {folder!r}:
+    advise({folder!r})
+    advise({folder!r} + "/part")
 import numba
 from pathlib import Path
 from qdenv.io.files import write_atomically
@@ -48,7 +48,7 @@ write_atomically(Path("out.json"), content)
     ("number", "signals"), [(signal.SIGINT, 1), (signal.SIGINT, 3), (signal.SIGTERM, 1)]
 )
 def test_it_ends_compiled_code_and_leaves_no_half_written_file(tmp_path, number, signals):
-    script = BUSY.format(advice="`qdenv resume runs/a` goes on", nogil=True)
+    script = BUSY.format(folder="runs/a", nogil=True)
     work = start(["-c", script], tmp_path, "0")
     assert work.stdout.readline() == "ready\n"
     assert len(list(tmp_path.iterdir())) == 1  # what is being written, under another name
@@ -87,7 +87,7 @@ from pathlib import Path
 from qdenv.interrupt import advise, save_first, watch
 
 watch()
-advise("`qdenv resume runs/a` goes on")
+advise("runs/a")
 
 def save():
     time.sleep({seconds})

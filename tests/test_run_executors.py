@@ -187,7 +187,7 @@ def test_without_its_scheduler_an_executor_fails_instead_of_waiting_for_ever(loc
     client = distributed.Client(local.scheduler_address)
     executor = ClusterExecutor(client)
     client.close()
-    interrupt.advise("`qdenv resume run` goes on")
+    interrupt.advise("run")
     with pytest.raises(InputError, match="scheduler is gone; `qdenv resume run` goes on"):
         executor.submit(pow, 2, 5).result(timeout=60)
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import Any, NamedTuple
 
 import jax
@@ -250,7 +249,7 @@ def train_agent(
         checkpoint = out / "checkpoint.npz"
         if resume:
             state, used = load_state(checkpoint, state)
-            advise(f"`qdenv resume {quote(str(out))}` goes on")
+            advise(out)
         else:
             refuse_second_training(out)
         write_json(out / "config.json", asdict(config))
@@ -283,8 +282,7 @@ def train_agent(
             save_weights(state.weights, out / "agents" / f"{done:06}.npz")
             leaves = {str(n): np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(state))}
             write_state(checkpoint, leaves, {"cpu_seconds": spent}, _FACTS)
-            # Not before: there was nothing to resume.
-            advise(f"`qdenv resume {quote(str(out))}` goes on")
+            advise(out)  # not before: there was nothing to resume
             row |= choose(out, config.average, examine)
             with (out / "curve.jsonl").open("a") as log:
                 log.write(json.dumps(row) + "\n")

@@ -34,7 +34,7 @@ _MAX_WORK = 500_000_000  # corners of polylines times the cells around them
 
 def _ezdxf() -> Any:
     need_library(".dxf")
-    import ezdxf
+    import ezdxf.recover
 
     # It warns of whatever it skips; without a handler Python would print that.
     logging.getLogger("ezdxf").addHandler(logging.NullHandler())
@@ -82,15 +82,11 @@ def read_dxf(path: Path) -> Drawing:
     """
     ezdxf, content = _ezdxf(), read_bytes(path, _MAX_BYTES)
     with parsing(path, "a DXF drawing"):
-        # Until AutoCAD 2004 a page of codes is named in the file.
-        head = io.StringIO(content.decode("latin-1").replace("\r\n", "\n"))
-        encoding = ezdxf.filemanagement.dxf_stream_info(head).encoding
-        text = io.StringIO(content.decode(encoding, "surrogateescape").replace("\r\n", "\n"))
-        document = ezdxf.read(text)
+        document, _ = ezdxf.recover.read(io.BytesIO(content))  # decodes old files, too
         facts = dict(json.loads(dict(document.header.custom_vars.properties).get(_FACTS, "{}")))
         scale = ezdxf.units.conversion_factor(document.units or _METRES, _METRES)
         shapes, others = _shapes(document.modelspace(), scale)
-    beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)[0]}
+    beside, facts = path.with_suffix(".toml"), {**facts, **facts_beside(path)}
     layers, side = facts.get("layers"), facts.get("cell")
     if not isinstance(layers, dict) or not side:
         form = 'layers = {RACKS = "@"}, and below the length of a cell in metres, like cell = 1.2'

@@ -50,13 +50,13 @@ class PlanFacts(Ranged):
 FACTS = tuple(one.name for one in fields(PlanFacts) if one.name != "settings")
 
 
-def facts_beside(plan: Path) -> tuple[dict[str, Any], Path]:
-    """Read the facts in the file beside a plan, and return that; none, and the plan, without it."""
+def facts_beside(plan: Path) -> dict[str, Any]:
+    """Read the facts in the file beside a plan; empty where there is none."""
     path = plan.with_suffix(".toml")
     if path == plan or not path.is_file():
-        return {}, plan
+        return {}
     with parsing(path, "TOML"):
-        return tomllib.loads(read_text(path, MEGABYTE, "TOML")), path
+        return tomllib.loads(read_text(path, MEGABYTE, "TOML"))
 
 
 def make_facts(content: Mapping[str, Any], source: Path) -> PlanFacts:

@@ -60,10 +60,10 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(READ_ENDINGS)}") from error
     # A file's own facts count more.
-    (beside, source), own = facts_beside(path), dict(drawing.details.get("facts", {}))
-    facts = beside | own
+    own = dict(drawing.details.get("facts", {}))
+    facts = facts_beside(path) | own
     if facts:
-        stated = make_facts(facts, path if own else source)
+        stated = make_facts(facts, path if own else path.with_suffix(".toml"))
         legend = str.maketrans(dict(stated.legend))
         details = {**drawing.details, "facts": {**facts, "legend": {}}}
         drawing = drawing._replace(

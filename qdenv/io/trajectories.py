@@ -211,10 +211,13 @@ def _read_league(path: str | Path, output: _Output) -> Trajectories:
     cells = np.stack(ways, axis=1)
     try:
         errands = _errands(output)
-        if not turning:  # an older file goes up for U
+        if errands and not turning:  # an older file goes up for U
             upside_down = cells.copy()
             upside_down[..., 0] = 2 * cells[0, :, 0] - cells[..., 0]
-            cells = max(cells, upside_down, key=lambda way: _count_reached(way, errands))
+            times, robots, places, *_ = map(list, zip(*errands, strict=True))
+            when = np.minimum(times, len(cells) - 1)
+            reached = lambda way: (way[when, robots] == places).all(axis=-1).sum()  # noqa: E731
+            cells = max(cells, upside_down, key=reached)
         return Trajectories(cells, errands, output.numTaskFinished)
     except (TypeError, ValueError, LookupError, OverflowError):
         raise damaged(path, "events and tasks are not those of 2023, 2024 or 2026") from None
@@ -248,13 +251,6 @@ def _follow(letters: str, start: tuple[int, int, str], turning: bool, every: int
         for letter, step in _STEPS.items():
             steps[actions == letter] = step
     return np.concatenate([[start[:2]], start[:2] + np.cumsum(steps, axis=0)]).astype(np.int64)
-
-
-def _count_reached(cells: np.ndarray, errands: list[Errand]) -> int:
-    """Count the errands at whose time the robot is at their place."""
-    return sum(
-        one.time < len(cells) and tuple(cells[one.time, one.robot]) == one.place for one in errands
-    )
 
 
 def _errands(output: _Output) -> list[Errand]:

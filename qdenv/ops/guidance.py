@@ -64,8 +64,8 @@ def guide(
         ``qdenv guide plan.txt --robots 60 --minutes 5``
     """
     given: dict[str, Any] = dict(search)
-    base, method = given.pop("guidance", None), given.pop("method", None)
-    check_range("minutes", minutes := given.pop("minutes", None), PositiveFloat | None)
+    minutes, base, method = (given.pop(one, None) for one in ("minutes", "guidance", "method"))
+    check_range("minutes", minutes, PositiveFloat | None)
     names = "evaluations", "simulations", "seed"
     numbers = {name: given.pop(name) for name in names if name in given}
     if model is not None and (numbers or minutes or base is not None or method):
@@ -139,8 +139,8 @@ def _show_guidance(
     guided = plan._replace(costs=unscaled)
     details = {"domain": domain.name, "agents": fleet.agents}
     write_layout(path / FILE, plan.layout, domain.tiles, domain.meanings, unscaled, **details)
-    shown = replace(fleet, timesteps=min(fleet.timesteps, MOST_SHOWN // fleet.agents))
-    moves = count_moves(record_fleet(guided, shown)[0].positions, plan.layout.shape)
+    recorded = replace(fleet, timesteps=min(fleet.timesteps, MOST_SHOWN // fleet.agents))
+    moves = count_moves(record_fleet(guided, recorded)[0].positions, plan.layout.shape)
     title = f"{plan.name}, {fleet.agents} agents"
     save_figure(draw_guidance(free, unscaled, moves, title), path / PICTURE)
     most = int(free.sum())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from shlex import quote
 from typing import Annotated, Any, NamedTuple, Unpack
 
 import numpy as np
@@ -158,7 +157,7 @@ def improve_folder(
     with locked(folder):  # nothing is written through a link either
         domain, found, lanes = make_domain(config.domain), {}, None
         plan = read_file(folder / PLAN)._replace(name=name, domain=domain, keep=config.domain.keep)
-        advise(f"`qdenv resume {quote(str(folder))}` goes on")
+        advise(folder)
         for section, (title, _) in studies.SECTIONS.items():
             if section == "lanes" and not PLANNERS.make(config.fleet.planner).reads_costs:
                 say(f"{title}: the planner knows no costs of moves, so none are searched")

@@ -260,7 +260,7 @@ class Table(list):
         return pandas.DataFrame([row._asdict() for row in self])
 
     def _repr_html_(self) -> str:
-        return _table_html([row._asdict() for row in self])
+        return _table_html([row._asdict() for row in self]) if self else "<p>no rows</p>"
 
 
 class UnsolvedError(InputError):

@@ -18,7 +18,7 @@ from qdenv.io.records import read_json
 from qdenv.ops import options as args
 from qdenv.ops.costs import describe_cost, remember_cost
 from qdenv.ops.guidance import finish_guide
-from qdenv.ops.improve import improve_folder
+from qdenv.ops.improve import SETTINGS, improve_folder
 from qdenv.ops.networks import train_agent
 from qdenv.ops.output import PICTURES, Result, format_table, place, say
 from qdenv.ops.runs import plot_one
@@ -187,10 +187,12 @@ def resume(
         ``qdenv resume runs/first``
     """
     path = run.path if isinstance(run, RunDirectory) else Path(run)
-    # The searches of an improvement go on together.
-    whole = Path(os.path.abspath(path))
-    whole = whole.parent if whole.name in ("lanes", "racks", "rows", "floor") else path
-    improved = [one for one in (path, whole) if (one / "improve.json").exists()]
+    improved = [path] if (path / SETTINGS).exists() else []
+    part = Path(os.path.abspath(path))
+    if (part.parent / SETTINGS).exists():  # the searches of an improvement go on together
+        from qdenv.study.improve import SECTIONS  # imports both compilers
+
+        improved += [part.parent] * (part.name in SECTIONS)
     agent = (path / "checkpoint.npz").exists() and (path / "config.json").exists()
     if evaluations is not None and (improved or agent):
         raise InputError(f"{path} is not the run of one search: leave --evaluations out")

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from functools import partial, wraps
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 import jax
@@ -100,7 +99,7 @@ def _run(
     algorithm, pipeline = experiment.algorithm, experiment.pipeline
     batch, settings = algorithm.batch_size, experiment.settings(config)
     total = -(-config.evaluations // batch)
-    advise(f"`qdenv resume {quote(str(run.path))}` goes on")
+    advise(run.path)
     bar = Bar("", total * batch, progress, unit="eval")
     announced = partial(_announced, bar)
     parts = {"grow": "generator and repair", "simulate": "simulator", "score": "score"}

@@ -14,7 +14,7 @@ from qdenv.domains.base import DOMAINS, Domain, find_domain, make_domain
 from qdenv.grid import draw
 from qdenv.guidance import GUIDANCE, existing_moves, fixed_costs
 from qdenv.io.demand import demand_in, read_demand
-from qdenv.io.facts import FACTS, PlanFacts, facts_beside, make_facts
+from qdenv.io.facts import FACTS, PlanFacts, make_facts
 from qdenv.io.guidance import costs_of
 from qdenv.io.layouts import ENDINGS, Drawing, aliases, read_drawing, to_layout
 from qdenv.io.records import structured
@@ -108,9 +108,7 @@ def read_plan(path: str | Path, domain: str | None = None, drawing: Drawing | No
     layout = to_layout(rows, path, found.tiles, found.meanings, found.name)
     plan = Plan(Path(path).stem, layout, found, assumed=not name, keep=keep)
     if "facts" in details:
-        beside, source = facts_beside(Path(path))
-        source = source if {**beside, "legend": {}} == details["facts"] else Path(path)
-        plan = _with_facts(plan, make_facts(details["facts"], source), source)
+        plan = _with_facts(plan, make_facts(details["facts"], Path(path)), Path(path))
         found = plan.domain
     if weights is None or found.simulator.tasks is None:
         return plan
@@ -121,23 +119,23 @@ def read_plan(path: str | Path, domain: str | None = None, drawing: Drawing | No
 
 def _with_facts(plan: Plan, facts: PlanFacts, path: Path) -> Plan:
     """Give a plan the facts from its file: settings of its domain, what must stay."""
-    domain, settings = plan.domain, dict(facts.settings)
+    domain, settings, source = plan.domain, dict(facts.settings), f"facts of {path}"
     kinds = get_type_hints(type(domain.config))
     hidden = {"rows", "cols", "fleet", "around", "spare_shelves", *FACTS}
     known = sorted(vars(domain.config).keys() - hidden)
     for name in settings:
         if name not in known:
-            raise InputError(f"{path}: unknown fact {name!r}: {choices(name, [*FACTS, *known])}")
+            raise InputError(f"{source}: unknown fact {name!r}: {choices(name, [*FACTS, *known])}")
         if name == "demand":
             settings[name] = demand_in(path.parent, settings[name])
         elif kinds[name] is str and type(settings[name]) in (int, float):
             settings[name] = f"{settings[name]}"  # drop = 5 as well as drop = "w=5,i=20"
         else:
-            settings[name] = structured(settings[name], kinds[name], f"{path}, {name}")
+            settings[name] = structured(settings[name], kinds[name], f"{source}, {name}")
     if facts.shelves is not None and "shelves" not in domain.counted:
-        raise InputError(f"{path}: {domain.name} has no shelves: leave the fact out")
+        raise InputError(f"{source}: {domain.name} has no shelves: leave the fact out")
     tasks = {name: settings.pop(name) for name in domain.task_settings if name in settings}
-    with about(str(path)):
+    with about(source):
         plan = plan._replace(domain=make_domain(replace(domain.config, **settings)), facts=facts)
         plan = with_tasks(plan, tasks)
         if facts.keep:
