@@ -213,6 +213,7 @@ def test_the_page_says_how_the_rows_of_table_4_compare():
     assert 0 < less["maze-entropy", "cma-mae"] < spread["maze-entropy", "cma-mae"]
     more = "less" if less["manufacturing", "cma-mae"] > 0 else "more"
     assert f"`manufacturing` scores {own['manufacturing']} % {more} (with the published" in PAGE
+    assert abs(less["manufacturing", "cma-mae"]) < TABLE_4["manufacturing", "cma-mae"].qd_error
     keys = [(domain, "map-elites") for domain in domains]
     assert all(abs(less[key]) <= 1.2 * spread[key] and saved[key][2] == "1" for key in keys)
     times = [score[domain, "cma-mae"] / score[domain, other] for domain, other in keys]
@@ -230,7 +231,9 @@ def test_the_page_says_how_the_rows_of_table_4_compare():
     for domain in FLEETS:
         ours = max(best.get(f"{domain}{end}", 0) for end in ("", "-seed1", "-seed2"))
         assert (best[f"{domain}-cma-es"] > ours) == (domain != uneven)
-    assert "move more than CMA-MAE's** on `warehouse-even` and in `manufacturing`" in PAGE
+    assert "The best elite of CMA-ES moves more than CMA-MAE's in `manufacturing`**" in PAGE
+    pair = best[f"{even}-cma-es"], max(best[even], best[f"{even}-seed1"])
+    assert "of the search ({:.3f} against {:.3f}), but not".format(*pair) in PAGE
     for evaluations in (1000, 1400):
         pair = [score_after(f"warehouse-even{seed}", evaluations) for seed in ("", "-seed1")]
         assert "{:,.0f} and {:,.0f} after {:,}".format(*pair, evaluations) in PAGE
@@ -288,6 +291,14 @@ def test_the_page_says_what_table_5_shows():
     assert good[uneven, "a0"] == 0 and f"and {theirs} % more at 101 × 102 under our" in PAGE  # noqa: RUF001
     these = more(own[uneven, "cma-mae", large][1], paper[uneven, "nca", 1000])
     assert f"{good[uneven, 'cma-mae']} of 50 (paper 84 %); these move {these} % more." in PAGE
+    for key, others, text in (
+        ((uneven, "cma-mae", large), ("zoo", "nca"), "{} and {} % more than the zoo's there, {} a"),
+        ((factory, "cma-es", large), ("zoo",), "CMA-ES's factory moves {} and {} % more than the"),
+        ((factory, "cma-es", small), ("zoo",), "than the zoo's, at 33 × 36 {} and {} %."),  # noqa: RUF001
+    ):
+        theirs = [one for maker in others for one in own[key[0], maker, key[2]]]
+        ratios = (more(one, than) for one, than in zip(own[key] * 2, theirs, strict=False))
+        assert text.format(*ratios) in PAGE
     assert f"than in the paper**, {good[uneven, 'zoo']} of 50 (paper 84 %), and" in PAGE
     assert f"best `warehouse-even` {good[even, 'zoo']} of 50 succeed (paper 90 %; the" in PAGE
     assert f"of its best factory {good[factory, 'zoo']} of 50 (paper 100 %)" in PAGE
@@ -351,8 +362,8 @@ def test_the_pages_state_what_the_repair_draws_and_where_tiles_jam():
         interval = "{:.0f} to {:.0f} %".format(
             *(100 * float(tiled[end]) for end in ("low", "high"))
         )
-        text = "{successes} of {runs}[a-z' ]* of `{domain}`[a-z ]* ".format(**tiled)
-        assert re.search(f"{text}[(]{interval}; grown", PAGE)
+        text = "{successes} of {runs}[a-z ]* of `{domain}`[a-z ]* ".format(**tiled)
+        assert re.search(f"{text}[(]{interval}; the paper's tiling", PAGE)
     peaks = {(row[0], row[1]): row[3].split(", ") for row in table("figure_18")}
     front, large = page("README.md"), "101 x 102"
     for domain in ("warehouse-uneven", "warehouse-even", "manufacturing"):
@@ -515,6 +526,9 @@ def test_the_page_states_layouts_repairs_and_mazes():
     assert f"as long in {large[4]} (paper: 22.3 ± 3.0 %)" in PAGE
 
 
+KERNELS = r"[(]3, 1, 1[)], isotropic", r"[(]3, 3, 3[)], isotropic"
+
+
 def test_the_notes_state_algorithms_and_planners():
     for row in rows("algorithms.csv"):
         pairs = [("qd_score", 1, 0), ("coverage", 100, 1), ("best_objective", 1, 3)]
@@ -525,7 +539,12 @@ def test_the_notes_state_algorithms_and_planners():
         ]
         assert f"| {' | '.join(cells)} |" in NOTES, row["algorithm"]
     (tiled,) = rows("congestion.csv", layout="warehouse_even_nca_a5_tiled")
-    assert f"tiled `warehouse-even` {tiled['successes']} of {tiled['runs']} runs succeed" in NOTES
+    assert f"tiled and repaired here, {tiled['successes']} of {tiled['runs']} runs succeed" in NOTES
+    small, large = (float(re.search(rf"{one} \| (\d+) [(]", NOTES)[1]) for one in KERNELS)
+    assert f"ours had {large / small:.1f} times the QD-score of the small ones" in PAGE
+    score = {row["algorithm"]: f"{float(row['qd_score']):.0f}" for row in rows("algorithms.csv")}
+    text = "as CMA-MAE, {random} and {cma-me} against {cma-mae} ± 24)"
+    assert text.format(**score) in PAGE
 
 
 def test_the_notes_state_what_highs_gains():
