@@ -15,6 +15,7 @@ A position is ``row * width + column`` (int32). Records describe one item; batch
 from __future__ import annotations
 
 import difflib
+import importlib.util
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import IntEnum
@@ -81,6 +82,12 @@ def choices(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, 1)
     guess = f"did you mean {close[0]}? " if close else ""
     return f"{guess}choose one of {', '.join(known)}"
+
+
+def require_package(what: str, package: str, extra: str = "viz") -> None:
+    """Raise InputError if a package, which `what` ("pages") need, is missing: one of our extras."""
+    if importlib.util.find_spec(package.replace("-", "_")) is None:
+        raise InputError(f'{what} need {package}: pip install "qdenv[{extra}]"')
 
 
 class Tile(NamedTuple):

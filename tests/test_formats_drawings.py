@@ -170,7 +170,7 @@ def test_facts_of_a_drawing_are_an_object(tmp_path):
 
 
 def test_without_the_library_a_line_names_the_extra(tmp_path, monkeypatch):
-    monkeypatch.setattr("qdenv.io.formats.find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     for ending in (".xlsx", ".dxf"):
         with pytest.raises(InputError, match=r'pip install "qdenv\[formats\]"'):
             write_drawing(tmp_path / f"a{ending}", Drawing(["."]), EVEN.meanings)

@@ -39,6 +39,6 @@ def test_a_notebook_frame_holds_the_whole_page():
 
 
 def test_a_missing_package_is_named_with_what_installs_it(monkeypatch):
-    monkeypatch.setattr(pages.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r'pages need jinja2: pip install "qdenv\[viz\]"'):
         pages.make_page("page", "A page")

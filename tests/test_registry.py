@@ -1,6 +1,7 @@
 """Choices by settings or name: what is found, what is refused, what a broken plug-in may do."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import pytest
 
@@ -9,7 +10,8 @@ from qdenv.domains.base import DOMAINS, find_domain
 from qdenv.generators import GENERATORS
 from qdenv.registry import Entry, Registry
 from qdenv.search.registry import ALGORITHMS
-from qdenv.simulation.mapf.settings import PLANNERS
+from qdenv.simulation.mapf.negotiated.settings import NegotiatedConfig
+from qdenv.simulation.mapf.settings import PLANNERS, PibtConfig
 from qdenv.types import InputError
 
 
@@ -92,5 +94,7 @@ def test_domains_scale_and_read_their_own_numbers():
 
 
 def test_planners_run_on_the_host_unless_xla_is_chosen():
-    assert [*map(devices.runs_on_host, ("auto", "host", "xla"))] == [True, True, False]
+    for kind, backend in product((NegotiatedConfig, PibtConfig), ("auto", "host", "xla")):
+        on_host = PLANNERS.make(kind(backend=backend)).run_windows is not None
+        assert on_host == (backend != "xla")
     assert devices.lanes(128, 4) == (4 if devices.on_cpu() else 128)

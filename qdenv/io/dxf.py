@@ -20,11 +20,10 @@ import numpy as np
 
 from qdenv.io.facts import facts_beside
 from qdenv.io.files import MEGABYTE, damaged, parsing, read_bytes, write_atomically
-from qdenv.io.formats import need_library
 from qdenv.io.images import colours_of
 from qdenv.io.lanes import side_of
 from qdenv.io.layouts import BLANKS, MAX_SIDE, Drawing, check_size
-from qdenv.types import InputError, Tile
+from qdenv.types import InputError, Tile, require_package
 
 _FACTS = "qdenv"  # name of the property of the drawing that holds the cell and the layers
 _METRES = 6  # of DXF's units
@@ -33,7 +32,7 @@ _MAX_WORK = 500_000_000  # corners of polylines times the cells around them
 
 
 def _ezdxf() -> Any:
-    need_library(".dxf")
+    require_package(".dxf files", "ezdxf", "formats")
     import ezdxf.recover
 
     # It warns of whatever it skips; without a handler Python would print that.

@@ -7,7 +7,6 @@ named here, and imported when it is needed.
 
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -91,13 +90,6 @@ def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
     """
     name = _find(path, form, "read") or "json"
     return pkgutil.resolve_name("{0.module}:{0.read}".format(FORMATS[name]))
-
-
-def need_library(ending: str) -> None:
-    """Raise InputError, which says what to install, if a format with this ending needs it."""
-    library = LIBRARIES.get(ending)
-    if library and not find_spec(library):
-        raise InputError(f'{ending} files need {library}: pip install "qdenv[formats]"')
 
 
 def find_writer(path: Path, form: str | None = None) -> str:

@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from qdenv.io.files import MEGABYTE, damaged, parsing, read_bytes, write_atomically
-from qdenv.io.formats import need_library
 from qdenv.io.layouts import MAX_SIDE, Drawing, check_size, join_cells
-from qdenv.types import Tile
+from qdenv.types import Tile, require_package
 
 # Distinct for readers with colour blindness, too, within each alphabet (tests measure it). In
 # reading a picture the first tile of a colour is meant.
@@ -87,7 +86,7 @@ def colours_of(symbols: list[str]) -> dict[str, str]:
 
 def read_xlsx(path: Path) -> Drawing:
     """Read the first sheet: a symbol in each cell, an empty one is a blank."""
-    need_library(".xlsx")
+    require_package(".xlsx files", "openpyxl", "formats")
     import openpyxl
 
     content = read_bytes(path, _MAX_BYTES)
@@ -117,7 +116,7 @@ def read_xlsx(path: Path) -> Drawing:
 
 def write_xlsx(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> None:
     """Write a sheet with coloured cells; a blank is written as ``.``, for Excel shows neither."""
-    need_library(".xlsx")
+    require_package(".xlsx files", "openpyxl", "formats")
     import openpyxl
 
     book, file = openpyxl.Workbook(), io.BytesIO()

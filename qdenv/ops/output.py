@@ -16,11 +16,11 @@ import numpy as np
 from qdenv.domains.base import Domain
 from qdenv.io.facts import write_facts
 from qdenv.io.files import check_writable, find_stream, reserve
-from qdenv.io.formats import need_library
+from qdenv.io.formats import LIBRARIES
 from qdenv.io.layouts import write_layout
 from qdenv.shipped import refuse_inside
 from qdenv.study.plans import is_plain
-from qdenv.types import InputError
+from qdenv.types import InputError, require_package
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,7 +88,8 @@ def place(
     if path == AUTO:
         return Place(reserve(Path(default)), False, True)
     ending = path.suffix.lower()
-    need_library(ending)
+    if ending in LIBRARIES:
+        require_package(f"{ending} files", LIBRARIES[ending], "formats")
     if endings and ending not in endings:
         raise InputError(f"{path}: give a name that ends in {' or '.join(endings)}")
     if not endings and ending in (*PICTURES, *FILMS, ".jpg", ".jpeg", ".webp"):
@@ -254,7 +255,8 @@ class Table(list):
         return "\n".join(format_table(map(list, lines))) if rows else "Table(no rows)"
 
     def to_pandas(self) -> Any:
-        """Make a pandas data frame, a line for each row; needs the extra ``data``."""
+        """Make a pandas data frame, a line for each row; InputError if pandas is not installed."""
+        require_package("tables", "pandas", "data")
         import pandas
 
         return pandas.DataFrame([row._asdict() for row in self])

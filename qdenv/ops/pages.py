@@ -22,8 +22,8 @@ from qdenv.study.options import fleet_tasks, parse_counts, parse_seeds
 from qdenv.study.plans import Plan, name_guidance
 from qdenv.study.recordings import MAZES, Motion
 from qdenv.study.table import Row
-from qdenv.types import InputError
-from qdenv.view.page import Page, require_package
+from qdenv.types import InputError, require_package
+from qdenv.view.page import Page
 from qdenv.view.replay import about_fleet, make_replay
 from qdenv.view.report_subjects import Subject, distinct
 

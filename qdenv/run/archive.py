@@ -16,7 +16,7 @@ from qdenv.io.arrays import Column, read_arrays
 from qdenv.io.files import damaged, write_atomically, write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.search.axes import inner_edges
-from qdenv.types import InputError, Measure
+from qdenv.types import InputError, Measure, require_package
 
 if TYPE_CHECKING:
     import pandas
@@ -249,10 +249,9 @@ class SavedArchive:
 
         Raises InputError if pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError as error:
-            raise InputError('tables need pandas: pip install "qdenv[data]"') from error
+        require_package("tables", "pandas", "data")
+        import pandas
+
         return pandas.DataFrame(self.table(solutions))
 
     def write_table(self, path: Path, solutions: bool = False) -> None:
@@ -266,12 +265,9 @@ class SavedArchive:
             # As numpy's numbers: Python's would show digits that single precision does not hold.
             write_csv(path, list(table), zip(*table.values(), strict=True))
             return
+        require_package(".parquet files", "pyarrow", "data")
         content = io.BytesIO()
-        try:
-            self.to_pandas(solutions).to_parquet(content, index=False)
-        except ImportError as error:
-            cure = 'pip install "qdenv[data]", or write a .csv'
-            raise InputError(f"{path}: Parquet needs pandas and pyarrow: {cure}") from error
+        self.to_pandas(solutions).to_parquet(content, index=False)
         write_atomically(path, content.getvalue())
 
     def write_layouts(self, folder: Path, domain: str) -> None:
@@ -287,10 +283,9 @@ class SavedArchive:
         Its extra fields are the columns with one number for each elite, and those named in
         `fields`, like "repaired": pyribs makes no table of layouts.
         """
-        try:
-            from ribs.archives import GridArchive
-        except ImportError as error:
-            raise InputError('this needs pyribs: pip install "qdenv[pyribs]"') from error
+        require_package("pyribs' archives", "ribs", "pyribs")
+        from ribs.archives import GridArchive
+
         extras = {
             name: values
             for name, values in self.columns.items()

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from qdenv import devices, interrupt
 from qdenv.ranges import PositiveInt, Ranged
 from qdenv.run.directory import package_versions
-from qdenv.types import InputError
+from qdenv.types import InputError, require_package
 
 if TYPE_CHECKING:
     import distributed
@@ -76,11 +76,8 @@ class Execution(Ranged):
             return
         if self.scheduler and self.workers:
             raise InputError("--workers is for a cluster on this machine: leave --scheduler out")
-        try:
-            import cryptography  # noqa: F401 (by which a cluster here knows its own)
-            import distributed  # noqa: F401
-        except ImportError as error:
-            raise InputError('--executor dask needs dask: pip install "qdenv[dask]"') from error
+        for package in ("distributed", "cryptography"):  # by which a cluster here knows its own
+            require_package("clusters", package, "dask")
 
     @contextlib.contextmanager
     def connect(self) -> Iterator[distributed.Client]:

@@ -60,22 +60,15 @@ def group_runs(runs: Sequence[RunDirectory]) -> list[Group]:
         one, other, *_ = objectives.values()
         both = f"{one} and {other} have different objectives, {' and '.join(objectives)}"
         raise InputError(f"{both}: no scale shows both, draw them one by one")
+    from flax.traverse_util import flatten_dict  # imports jax
+
     kinds: dict[str, list[RunDirectory]] = {}
     for run in runs:
-        every = _flatten(config_to_json(run.config))
+        every = flatten_dict(config_to_json(run.config), sep=".")
         settings = {k: v for k, v in every.items() if k.rpartition(".")[2] not in _CHANCE}
         kinds.setdefault(json.dumps(settings, sort_keys=True), []).append(run)
     labels = tell_apart([json.loads(kind) for kind in kinds])
     return [_group(label, group) for label, group in zip(labels, kinds.values(), strict=True)]
-
-
-def _flatten(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted names."""
-    flat: dict[str, Any] = {}
-    for name, value in settings.items():
-        nested = isinstance(value, Mapping)
-        flat |= _flatten(value, f"{prefix}{name}.") if nested else {prefix + name: value}
-    return flat
 
 
 def tell_apart(settings: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -17,11 +17,11 @@ from qdenv.run.archive import SavedArchive
 from qdenv.run.directory import RunDirectory
 from qdenv.stats import Sample, margin, wilson_interval
 from qdenv.study.elites import CostsDrawer, Grower, make_costs_drawer, make_grower, spread
-from qdenv.types import InputError
+from qdenv.types import InputError, require_package
 from qdenv.view.archive import COLOURS as SCALE
 from qdenv.view.guidance import ARROWS, pack_arrows
 from qdenv.view.layouts import CHANGED, COLOURS, UNKNOWN
-from qdenv.view.page import Page, make_page, pack, require_package
+from qdenv.view.page import Page, make_page, pack
 
 # Labels of an archive's columns, and how their values are written.
 _LABELS = {

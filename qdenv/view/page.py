@@ -12,7 +12,7 @@ import html
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import resources, util
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 from qdenv.io.files import tidy, write_atomically
 from qdenv.stats import margin
 from qdenv.study.table import Row
-from qdenv.types import InputError
+from qdenv.types import require_package
 
 
 def listed(values: Sequence[Any]) -> str:
@@ -126,9 +126,3 @@ def pack(content: np.ndarray | bytes | str) -> str:
     # The highest level, because pages are written once and sent around; no time, so that the same
     # content always gives the same page.
     return base64.b64encode(gzip.compress(raw, 9, mtime=0)).decode()
-
-
-def require_package(what: str, package: str) -> None:
-    """Raise InputError if a package of the extra `viz`, which `what` ("pages") need, is missing."""
-    if util.find_spec(package.replace("-", "_")) is None:
-        raise InputError(f'{what} need {package}: pip install "qdenv[viz]"')

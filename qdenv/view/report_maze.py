@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.evaluate import default_horizon, evaluate_agent, run_alone
-from qdenv.grid import of_tiles
 from qdenv.progress import Progress, silent
 from qdenv.simulation.maze.policy import load_weights
 from qdenv.simulation.maze.world import WALL
@@ -51,7 +50,7 @@ def report_mazes(
         arrivals = np.where(np.asarray(episodes.success), np.asarray(episodes.length), np.nan)
         usage = np.asarray(episodes.usage).mean(axis=0)
         # The agent may walk on whatever is no wall.
-        free = ~np.asarray(of_tiles(layout, domain.tiles[WALL], domain.tiles))
+        free = layout != WALL
         plan, walks = draw_plan(layout, domain.tiles, domain.names), draw_walks(free, usage, _MAP)
         for figure in (plan, walks):
             draw_marks(figure.axes[0], domain.mark_cells(layout))

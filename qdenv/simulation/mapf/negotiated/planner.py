@@ -22,7 +22,6 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from qdenv.devices import runs_on_host
 from qdenv.grid import fixed_point
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.negotiated.numba.rounds import make_plan, run_windows
@@ -65,7 +64,7 @@ def negotiated(config: NegotiatedConfig) -> Planner:
         plan,
         max_window=MAX_WINDOW,
         margin=MARGIN,
-        run_windows=run_windows if runs_on_host(config.backend) else None,
+        run_windows=run_windows if config.backend != "xla" else None,
         make_plan=partial(make_plan, config),
         fallback_waits=waits,
         reads_costs=True,

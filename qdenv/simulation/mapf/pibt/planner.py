@@ -15,7 +15,6 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 
-from qdenv.devices import runs_on_host
 from qdenv.grid import NUM_MOVES, move_steps
 from qdenv.native import shared
 from qdenv.simulation.mapf import chance
@@ -55,7 +54,7 @@ _run_windows = compile_windows(_plan_window)
 
 def pibt(settings: PibtConfig) -> Planner:
     """Make the planner; both backends give the same paths to the bit."""
-    on_host = settings.swap or runs_on_host(settings.backend)
+    on_host = settings.swap or settings.backend != "xla"
     return Planner(
         None if settings.swap else rollout,
         run_windows=_run_windows if on_host else None,
