@@ -97,8 +97,7 @@ def iterate(search, state, change=lambda score: score):
 
 
 def assert_same(left, right):
-    for one, other in zip(jax.tree.leaves(left), jax.tree.leaves(right), strict=True):
-        np.testing.assert_array_equal(one, other)
+    jax.tree.map(np.testing.assert_array_equal, left, right)
 
 
 def on_host(tree):

@@ -19,13 +19,12 @@ QUICK = ["--planner", "pibt", "--timesteps", "60", "--seeds", "2"]
 
 
 @pytest.fixture
-def plans(tmp_path, monkeypatch) -> Path:
+def plans(folder) -> Path:
     """A folder with a floor, without costs and with them."""
-    monkeypatch.chdir(tmp_path)
     qdenv.Layout(HALL, WAREHOUSE).save("plain.json")
     qdenv.Layout(HALL, WAREHOUSE, costs=crisscross(HALL)).save("guided.json")
     qdenv.Layout(HALL, WAREHOUSE, costs=crisscross(HALL)).save("costs.csv")
-    return tmp_path
+    return folder
 
 
 def facts_of(*command):

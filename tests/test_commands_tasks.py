@@ -26,12 +26,11 @@ WORDS = ["--planner", "pibt", "--timesteps", "100", "--seeds", "2", "--agents", 
 
 
 @pytest.fixture
-def factory(tmp_path, monkeypatch) -> Path:
+def factory(folder) -> Path:
     """A folder with a factory to work in."""
-    monkeypatch.chdir(tmp_path)
     domain = find_domain("manufacturing").resized(12, 13)
     write_layout(Path("factory.json"), domain.human(), domain.tiles, domain="manufacturing")
-    return tmp_path
+    return folder
 
 
 @pytest.mark.slow
@@ -70,11 +69,10 @@ w.e@.@e..#
 
 
 @pytest.fixture
-def hall(tmp_path, monkeypatch) -> Path:
+def hall(folder) -> Path:
     """A folder with a plan to work in."""
-    monkeypatch.chdir(tmp_path)
     Path("plan.txt").write_text(DRAWING)
-    return tmp_path
+    return folder
 
 
 def goals_of(tasks, seeds=10):

@@ -19,13 +19,12 @@ QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "3"]
 
 
 @pytest.fixture
-def plans(tmp_path, monkeypatch) -> Path:
+def plans(folder) -> Path:
     """A folder with two plans to work in."""
-    monkeypatch.chdir(tmp_path)
     for name, layout in (("lane", LANE), ("hall", HALL)):
         tiles = WAREHOUSE.tiles
         write_layout(Path(f"{name}.json"), layout, tiles, domain="warehouse-even")
-    return tmp_path
+    return folder
 
 
 @pytest.mark.slow

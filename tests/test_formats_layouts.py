@@ -25,14 +25,6 @@ WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
 DRAWN = ["w..@", ".ee.", "....", "@.ew"]
 
 
-def test_round_trip(tmp_path):
-    layout = np.random.default_rng(0).integers(0, 4, (5, 7)).astype(np.int8)
-    write_layout(tmp_path / "l.json", layout, TILES, name="mine")
-    np.testing.assert_array_equal(read_layout(tmp_path / "l.json", TILES), layout)
-    content = json.loads((tmp_path / "l.json").read_text())
-    assert content["n_row"] == 5 and content["n_col"] == 7 and content["name"] == "mine"
-
-
 def test_missing_folder_and_huge_files(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_layout(tmp_path / "nothing.json", TILES)

@@ -194,11 +194,6 @@ def test_impossible_rules_return_at_once():
     assert (found.layout == layout).all() and np.isinf(found.cost)
 
 
-def test_unknown_polish_is_refused():
-    with pytest.raises(InputError, match="none, quick, full"):
-        RepairConfig("thorough")
-
-
 @pytest.mark.parametrize("name", ["moves_per_cell", "node_limit", "workers"])
 def test_a_negative_limit_is_refused(name):
     with pytest.raises(InputError, match=f"{name.replace('_', '-')} must be at least 0, not -1"):

@@ -1,6 +1,7 @@
 """One conformance suite over all registered algorithms, and CMA-MAE's own rules."""
 
 import io
+from functools import partial
 
 import chex
 import jax
@@ -96,8 +97,7 @@ def test_scan_and_vmap_over_seeds_equal_the_plain_loop(name):
 
     many = jax.jit(jax.vmap(run), compiler_options=QUICK)(keys)
     expected = jax.tree.map(lambda *rows: np.stack(rows), *looped)
-    for one, other in zip(jax.tree.leaves(many), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3)
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-3), many, expected)
 
 
 def test_the_elite_carries_its_own_extras_and_both_objectives_go_their_ways():

@@ -67,14 +67,8 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
     store, most = small.archives.store, len(full.archives.store.used)
     rows, used = len(store.used), int(store.used.sum())
     assert used <= rows < min(most, 2 * (used + algorithm.batch_size))
-    for one, other in zip(
-        jax.tree.leaves(
-            small._replace(archives=small.archives._replace(store=store.resized(most)))
-        ),
-        jax.tree.leaves(full),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(one, other)
+    grown = small._replace(archives=small.archives._replace(store=store.resized(most)))
+    jax.tree.map(np.testing.assert_array_equal, grown, full)
     columns, expected = collector(found_by)(small), algorithm.archive(full).elites()
     assert columns.keys() == expected.keys() and len(columns["index"]) > 3
     for column, values in expected.items():

@@ -21,7 +21,6 @@ from qdenv.simulation.mapf.pibt import planner as pibt_in_xla
 from qdenv.simulation.mapf.planner import NOBODY
 from qdenv.simulation.mapf.settings import PibtConfig
 from qdenv.study.engine import _program
-from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
 
@@ -81,11 +80,6 @@ def test_a_run_outside_of_xla_is_the_one_inside_bit_for_bit(planner, keep, devic
         if keep and agents <= 9:
             jax.tree.map(np.testing.assert_array_equal, recording, tape)
         assert (recording is None) != keep
-
-
-def test_an_unknown_backend_is_refused():
-    with pytest.raises(InputError, match="unknown backend 'gpu': choose one of auto, xla, host"):
-        fleet.FleetConfig(agents=1, planner=PibtConfig("gpu"))
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from qdenv.simulation.mapf.host.state import GridMap, grid_map
 from qdenv.simulation.mapf.negotiated.numba import search as host_search
 from qdenv.simulation.mapf.negotiated.numba.search import Agent, find_path
 from qdenv.simulation.mapf.negotiated.numba.states import make_arrays
-from qdenv.simulation.mapf.negotiated.settings import LOW, MARGIN, NegotiatedConfig
+from qdenv.simulation.mapf.negotiated.settings import MARGIN, NegotiatedConfig
 from qdenv.simulation.mapf.negotiated.xla.rounds import add_paths, choose, pack
 from qdenv.simulation.mapf.negotiated.xla.search import find_paths
 from qdenv.simulation.mapf.negotiated.xla.window import STRIDE, around, gather
@@ -272,8 +272,3 @@ def test_numbers_that_make_no_planner_are_refused_in_one_line(settings, message)
     with pytest.raises(InputError, match=message) as error:
         NegotiatedConfig(**settings)
     assert "\n" not in str(error.value)
-
-
-def test_the_planner_is_found_by_its_settings_and_says_its_limits():
-    assert PLANNERS.name_of(LOW) == "negotiated"
-    assert PLANNERS.make(LOW)[1:4] == (10, 1000, 10)

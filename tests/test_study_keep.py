@@ -19,8 +19,7 @@ SMALL = "--agents 4 --timesteps 20 --simulations 1 --steps 6 --hidden 4 --emitte
 
 
 @pytest.fixture
-def plan(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def plan(folder):
     Path("plan.txt").write_text("\n".join(ROWS))
     return read_plan("plan.txt")
 

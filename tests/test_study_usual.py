@@ -32,9 +32,8 @@ def test_layouts_of_several_sizes_are_put_to_the_same_usual_numbers():
 
 
 @pytest.fixture
-def hall(tmp_path, monkeypatch) -> Path:
+def hall(folder) -> Path:
     """A file with an empty hall of 101 x 102 to work beside."""
-    monkeypatch.chdir(tmp_path)
     layout = np.zeros((101, 102), np.int8)
     layout[50, [0, 101]], layout[40:60, 50] = EVEN.tiles.index("w"), EVEN.tiles.index("e")
     write_layout(Path("hall.json"), layout, EVEN.tiles, domain="warehouse-even")

@@ -158,12 +158,14 @@ def test_commands_and_functions_take_names_of_the_zoo(folder, capsys):
     assert len(table) == len(names()["warehouse-even"])
 
 
-def test_a_plot_goes_where_the_command_is_given(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+def test_a_plot_goes_where_the_command_is_given(folder, capsys):
     assert run(["plot", f"{EVEN}/regular"]) == 0
     assert run(["plot", f"{EVEN}/regular", "--out", "mine"]) == 0
-    for folder in ("warehouse-even-regular", "mine"):
-        assert {path.name for path in Path(folder).iterdir()} >= {"archive.png", "best_layout.png"}
+    for name in ("warehouse-even-regular", "mine"):
+        assert {path.name for path in Path(name).iterdir()} >= {
+            "archive.png",
+            "best_layout.png",
+        }
     assert "mine/archive.png" in capsys.readouterr().out
     with pytest.raises(InputError, match="ships with qdenv"):
         plot_run(RunDirectory.open(EVEN))
