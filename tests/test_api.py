@@ -152,6 +152,8 @@ def test_mistakes_of_python_get_one_line_too(path):
         qdenv.check(path, keep="0" * 300)
     with pytest.raises(InputError, match="unknown guidance"):
         qdenv.simulate(path, 2, guidance="0" * 300)
+    with pytest.raises(InputError, match="tasks are settings by name"):
+        qdenv.simulate(path, 2, tasks="pick=3")
     for none in ((), []):
         with pytest.raises(InputError, match="name each planner once"):
             qdenv.compare([path], 2, planner=none)

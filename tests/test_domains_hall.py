@@ -174,6 +174,7 @@ def test_straight_aisles_and_both_sides_are_rules_of_a_hall(tmp_path, capsys):
     ("settings", "message"),
     [
         ({"rack": "2by3"}, "rack '2by3': give rows and columns like 2x6"),
+        ({"rack": (2, 6)}, r"rack \(2, 6\): give rows and columns like 2x6"),
         ({"rack": "2x9"}, "be at least 4 but racks of 2 x 9 have room for at most 0"),
         ({"aisle": 0}, "aisle must be at least 1, not 0"),
     ],

@@ -114,7 +114,7 @@ def storage(config: Any, tiles: str, endpoints: Goal, stations: Goal, rate: floa
     """
     drivable = "".join(tile for tile in tiles if tile not in _OBSTACLES)
     shape, kinds = (config.rows, config.cols), len(GENERATED)
-    sides = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,2})", config.rack)
+    sides = re.fullmatch(r"([1-9]\d{0,2})x([1-9]\d{0,2})", str(config.rack))
     if config.rack and not sides:
         raise InputError(f"rack {config.rack!r}: give rows and columns like 2x6")
     rack = (int(sides[1]), int(sides[2])) if sides else None

@@ -226,6 +226,8 @@ class Fleet:
         self.stop: bool = options.get("stop", True)
         self.guidance: Any = options.get("guidance")
         self.tasks: Mapping[str, Any] = options.get("tasks") or {}
+        if not isinstance(self.tasks, Mapping):
+            raise InputError('tasks are settings by name, like {"pick": 3}')
         self.inputs = [self.guidance, self.tasks.get("demand")]  # files that they name are read
         self._first: str | None = None  # the domain of the first plan
         self.seeds = parse_seeds(options.get("seeds", 10))
