@@ -351,8 +351,8 @@ def test_the_pages_state_what_the_repair_draws_and_where_tiles_jam():
         drawn, built = ("".join(json.loads(text)[name]) for name in ("unrepaired", "layout"))
         alike = [one == other for one, other in zip(drawn, built, strict=True) if other in "012"]
         kept += [sum(alike), len(alike)]
-    text = "of the {1} and {3} of CMA-ES's factories {0} and {2} are as the automaton drew them, "
-    text += "of the {5} and {7} of CMA-MAE's {4} and {6}."
+    text = "in CMA-ES's factories {} of {} and {} of {} are as the automaton drew them, "
+    text += "in CMA-MAE's {} of {} and {} of {}."
     assert text.format(*kept) in PAGE
     rows_of = {(row["layout"], row["agents"]): row for row in rows("congestion.csv")}
     paper = rows_of["warehouse_even_nca_a5_eval", "1400"]

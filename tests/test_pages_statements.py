@@ -46,10 +46,12 @@ def test_the_pages_state_how_often_the_zoos_best_flow_under_the_papers_planner()
         succeed.append(f"{sum(runs)}/{len(runs)}")
         paper.append(f"{100 * TRAFFIC[domain, 'nca', AGENTS[domain][101, 102]].success:.0f}")
     runs = "{}, {} and {} runs succeed".format(*succeed)
-    chosen = "by the first of each 50 the generator was chosen"
+    chosen = "each generator was chosen by the first of its 50"
     assert f"{runs}; {chosen} (paper: {', '.join(paper)} %)" in FRONT
     ours = named("warehouse-even").collection.generators[0].sizes[-1].driven[0]
-    table = f"Table: {WORDS[ours.runs]} runs of {ours.timesteps:,} timesteps under ours, none"
+    table = (
+        f"Table: {WORDS[ours.runs]} runs of {ours.timesteps:,} timesteps under our planner, none"
+    )
     assert f"{table} congested" in FRONT
 
 

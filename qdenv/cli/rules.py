@@ -249,7 +249,7 @@ def _tile_numbers(chosen: Choices, rest: Sequence[str], kind: Any) -> StructCons
 def _demand(domain: Domain) -> Iterator[tuple[str, Any, Any]]:
     """Make the option for where goals are, if a domain has it: files and zones become its map."""
     if "demand" in domain.task_settings:
-        about = "how likely each place is a goal: a CSV file, goals of a .scen, zones as 0:9,0:20=3"
+        about = "odds that each place is a goal: a CSV file, goals of a .scen, zones as 0:9,0:20=3"
         about += '; "shelves": all shelves equally likely' if "shelves" in domain.counted else ""
         yield "demand", Annotated[str, arg(metavar="FILE|ZONES")], about
 

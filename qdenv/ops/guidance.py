@@ -43,7 +43,7 @@ def guide(
 
     The run's folder gets the costs (guidance.json), a picture of them, and a table of the
     throughput before and after, for several numbers of agents. A search that begins at these costs
-    (--guidance) varies each of them. The planner is PIBT unless one or its effort is named.
+    (--guidance) varies each of them. PIBT plans unless a planner or an effort is named.
 
     Args:
         layout: layout file.

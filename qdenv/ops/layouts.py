@@ -152,7 +152,7 @@ def repair(
     plot: Annotated[args.Picture, arg(aliases=("--diff",))] = None,
     **numbers: args.Number,
 ) -> Layout:
-    """Change a layout little, until it obeys every rule of its domain.
+    """Make a layout obey every rule of its domain, with few changes.
 
     Args:
         layout: layout file.
@@ -239,7 +239,7 @@ def layout_human(
     domain: Annotated[str, arg(metavar=args.DOMAIN_NAMES)] = "warehouse-even",
     out: args.Out = None,
 ) -> Layout:
-    """Draw a layout as people design it by hand, at any size.
+    """Draw a layout like those designed by hand, at any size.
 
     Args:
         rows: rows of the layout, frame included.

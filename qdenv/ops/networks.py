@@ -42,7 +42,7 @@ def train_agent(
 
     Args:
         config: the run.
-        path: folder of the run: log, checkpoint, agent.npz, and in agents/ that of each line.
+        path: folder of the run: log, checkpoint, agent.npz, and in agents/ one per line of the log.
         resume: continue from the folder's checkpoint with this `config`; `qdenv resume FOLDER`
             continues with its own.
         report_every: updates between two lines of the log.
@@ -103,7 +103,7 @@ def evaluate_agent(
     out: args.Out = None,
     gif: args.Picture = None,
 ) -> Result:
-    """Let the agent solve a maze many times: success rate with its 95 % interval.
+    """Let the agent try a maze many times: success rate with its 95 % interval.
 
     Args:
         layout: layout file of a maze, with or without its ring of walls.
@@ -254,7 +254,7 @@ def surrogate(
 
     Args:
         run: folder of the run; its archive needs 50 elites or more.
-        seeds: 3 for three random splits, seeds 0 to 2; 3,5,9 for these three; 7, for this one.
+        seeds: 3 for three random splits, seeds 0 to 2; 3,5,9 for these three; "7," for seed 7.
         out: CSV file to write, a line for each elite held out; by default RUN_surrogate.csv.
         plot: picture to write, predicted over true; by default beside the table.
         size: small suits a CPU, published is the paper's, for a GPU; options replace its numbers.

@@ -148,7 +148,7 @@ class RunOptions(TypedDict, total=False):
     # what robots do at their goals, in place of what the plan says: settings of its domain by name,
     # like {"pick": 3}; "demand" is "shelves", a file, zones, or float [H, W]
     tasks: Annotated[dict[str, Any], arg(name="", constructor=TaskOptions)]
-    # end a run at its first congested window, as the paper does; --no-stop continues
+    # end a run as soon as it congests, as the paper does; --no-stop continues
     stop: Annotated[bool, arg(help_behavior_hint="(default: True)")]
     # costs of moves: none, crisscross, crisscross-pairs, traffic-flow, human-cost, or a file; by
     # default those in the layout file
@@ -158,7 +158,7 @@ class RunOptions(TypedDict, total=False):
 class FleetOptions(RunOptions, total=False):
     """Runs of a fleet, each as `RunOptions` says."""
 
-    # 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; 7, for this one
+    # 10 for ten runs, seeds 0 to 9; 3,5,9 for these three; "7," for seed 7
     seeds: Annotated[Seeds, arg(help_behavior_hint="(default: 10)")]
     seconds_per_step: PositiveFloat | None  # length of a timestep, to report tasks per hour as well
 
@@ -180,7 +180,7 @@ class GuideOptions(RunOptions, total=False):
     # search 30 numbers of smooth costs for floors of any size, the cost of each move, or weights of
     # a network that updates costs; by default smooth, or costs where guidance states them all
     method: Literal["smooth", "costs", "update"]
-    # number of costs of moves to try, rounded up to whole iterations; by default 2000
+    # number of sets of costs to try, rounded up to whole iterations; by default 2000
     evaluations: PositiveInt
     minutes: PositiveFloat | None  # pause after this many minutes; `qdenv resume` continues
     simulations: PositiveInt  # simulations of each try, with fresh seeds; by default 1
@@ -202,7 +202,7 @@ class ImproveOptions(RunOptions, total=False):
     cross_aisle: NonNegativeInt
     both_sides: bool  # whether racks have an aisle on both sides; else the plan's
     minutes: PositiveFloat | None  # for all searches; by default 10, unless evaluations are given
-    evaluations: PositiveInt | None  # number of floors, or costs of moves, that each search tries
+    evaluations: PositiveInt | None  # number of floors, or sets of costs, that each search tries
     seed: NonNegativeInt  # seed of the searches; by default 0
 
 

@@ -41,8 +41,8 @@ def plot(
     Args:
         runs: folders of runs; several have one colour scale for their archives, and runs that
             differ only in their seeds one curve of progress, mean and interval.
-        out: folder for the pictures; by default a run's own, for a generator of the zoo one that
-            is named after it, for several runs plots.
+        out: folder for the pictures; by default a run's own; for a generator of the zoo, one that
+            is named after it; for several runs, plots.
         form: format of the pictures.
         width: width of the pictures in inches; by default what suits them.
 

@@ -90,7 +90,7 @@ def train(
     pictures: Suppress[args.OnCommandLine] = False,
     **settings: Annotated[Any, args.Mark.PRESET],
 ) -> RunDirectory:
-    """Search for generators of floor plans: a preset, any setting of which can be overridden.
+    """Search for generators of floor plans by a preset; any setting can be overridden.
 
     Args:
         preset: settings to begin with; `qdenv presets` lists what each is and how long it takes.

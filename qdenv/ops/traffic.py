@@ -178,7 +178,7 @@ def audit_run(
     layout: Annotated[Any, arg(constructor=Path)],
     domain: args.DomainName = None,
 ) -> Table:
-    """Check a fleet's run of any program against the rules of movement (exit code 0 or 1).
+    """Check any program's run of a fleet against the rules of movement (exit code 0 or 1).
 
     Robots stay on the floor, take one step at a time, share no cell and never swap cells; if the
     file has their goals, these are checked and the finished tasks counted.

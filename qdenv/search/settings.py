@@ -211,8 +211,8 @@ class DsageConfig(Ranged):
     # random solutions that are evaluated first, rounded up to whole iterations
     initial: PositiveInt = 100
     inner_iterations: PositiveInt = 500  # of MAP-Elites on the surrogate, each time it has learnt
-    inner_batch: PositiveInt = 50  # solutions of each of them
-    inner_random: PositiveInt = 2  # the first of them draw random solutions
+    inner_batch: PositiveInt = 50  # solutions of each of these iterations
+    inner_random: PositiveInt = 2  # number of them, at first, that draw random solutions
     # tiles that a mutation draws again; 0 draws their number, 2 on average
     mutations: NonNegativeInt = 0
     # blocks of the archive along each measure, from each of which one elite of the inner loop is
