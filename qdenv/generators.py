@@ -50,7 +50,7 @@ class Generator(NamedTuple):
     choices: int = 0  # where each parameter names a tile, how many there are; 0 for real numbers
     # (solutions float32 [B, P], steps) -> tiles int8 [B, steps + 1, h, w], the canvas from the
     # start to the layout that `grow` draws; the number of steps is static. None where a generator
-    # tells only how it ends.
+    # gives only the end.
     frames: Callable[[jax.Array, int], jax.Array] | None = None
     # what moves cost on the layout when it is repaired; None where only tiles are drawn
     guide: Guide | None = None
@@ -62,7 +62,7 @@ Base: TypeAlias = Literal["none", "crisscross", "crisscross-pairs"]
 
 @dataclass(frozen=True)
 class NcaConfig(Ranged):
-    """The numbers of a neural cellular automaton (appendix C.1.1 of the paper)."""
+    """Settings of a neural cellular automaton (appendix C.1.1 of the paper)."""
 
     steps: PositiveInt = 50  # steps of growth of a drawing, C in the paper
     kernel_sizes: tuple[int, ...] = (3, 3, 3)  # widths of the kernels of its convolutions, in cells
@@ -82,7 +82,7 @@ class NcaConfig(Ranged):
 
 @dataclass(frozen=True)
 class GuidedNcaConfig(NcaConfig):
-    """The numbers of an automaton that draws the costs of moves in five more channels."""
+    """Settings of an automaton that draws the costs of moves in five more channels."""
 
     base: Base = "crisscross"  # the costs that it draws factors of
     # whether they are smooth over the floor: thirty numbers more, in place of the channels
@@ -91,7 +91,7 @@ class GuidedNcaConfig(NcaConfig):
 
 @dataclass(frozen=True)
 class CostsConfig(Ranged):
-    """The numbers of the generator of a floor that stands: a solution is the costs themselves."""
+    """Settings of the generator of an existing floor: a solution is the costs themselves."""
 
     draws: ClassVar[bool] = False  # tiles: nothing is repaired
     # rows of the floor: ``.`` where robots drive, ``#`` where they cannot
@@ -103,7 +103,7 @@ class CostsConfig(Ranged):
 
 @dataclass(frozen=True)
 class UpdateConfig(Ranged):
-    """The numbers of an update model of the costs of a floor that stands.
+    """Settings of an update model of the costs of an existing floor.
 
     A small network reads the costs of moves and how often each was made, and writes new costs,
     several times over (the parameterised iterative update of Zhang et al. 2024, section 5.2,
@@ -119,12 +119,12 @@ class UpdateConfig(Ranged):
 
 @dataclass(frozen=True)
 class DirectConfig:
-    """The numbers of the generator that draws nothing: a solution is the tiles themselves."""
+    """Settings of the generator that draws nothing: a solution is the tiles themselves."""
 
 
 @dataclass(frozen=True)
 class RacksConfig:
-    """The numbers of the generator of racks in rows, twelve numbers a solution (`racks`)."""
+    """Settings of the generator of racks in rows, twelve numbers a solution (`racks`)."""
 
 
 # An entry's maker is called as make(settings, canvas) and returns a `Generator`.
@@ -148,7 +148,7 @@ def choose_tiles(cells: Array) -> jax.Array:
 
 
 def direct(config: DirectConfig, canvas: Canvas) -> Generator:
-    """Make the generator whose parameters are the numbers of the tiles, row by row."""
+    """Make the generator whose parameters are tile indices, row by row."""
     choices = len(canvas.tiles)
 
     def read(solutions: jax.Array, steps: jax.Array | int) -> jax.Array:
@@ -171,7 +171,7 @@ def costs(config: CostsConfig, canvas: Canvas) -> Generator:
     costs have those of `smooth_logarithms`. Raises InputError if no floor is stated.
     """
     if not config.floor:
-        raise InputError("the generator costs needs a floor that stands: use qdenv guide")
+        raise InputError("the generator costs needs an existing floor: use qdenv guide")
     moves = existing_moves(parse(config.floor, "#.") == 1)
     places = np.flatnonzero(moves)
 

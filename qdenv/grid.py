@@ -52,7 +52,7 @@ def count_neighbours(mask: Array) -> Array:
 
 
 def fixed_point(change: Callable[[jax.Array], jax.Array], values: jax.Array) -> jax.Array:
-    """Apply a change to numbers or truth values, none NaN, until none differs; traceable."""
+    """Apply `change` until no value (number or bool, never NaN) changes; traceable."""
     return jax.lax.while_loop(
         lambda state: state[1],
         lambda state: (after := change(state[0]), (after != state[0]).any()),

@@ -21,7 +21,7 @@ from qdenv.lazy import jax, jnp
 from qdenv.types import Array, InputError
 
 _ONE = 64  # the mean cost of a move as a whole number: from a 64th to 16 times the mean fits
-_LEAST_ONE = 16  # the same where the dearest move would be dearer than that
+_LEAST_ONE = 16  # its minimum, used where the dearest move does not fit
 _MOST_SCALED = math.log(10)  # by how much generators change costs at most, as a logarithm
 NUM_SMOOTH = 30  # numbers of `smooth_logarithms`
 # How much more they count than the logarithm of a single cost: a search first finds where traffic
@@ -37,8 +37,8 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
 
     `costs` (float [5, H, W]) are infinite for a move that is not allowed, `traversable` is bool
     [H, W]. Returns int32 [5, H, W], 64 for the mean cost of a move, 1 to 1023; 0 where a move is
-    not allowed. Where the dearest would be above 1023, the mean is less, but 16 or more: of costs
-    that are cut off at one value, none is a lane any more. Raises InputError if a cost is negative,
+    not allowed. Where the dearest would be above 1023, the mean is less, but 16 or more: costs
+    that are all cut off at one value make no lanes. Raises InputError if a cost is negative,
     zero or no number, a robot may not wait somewhere, or one-way lanes cut a free cell off.
     """
     costs, free = np.asarray(costs, float), np.asarray(traversable, bool)
@@ -48,7 +48,7 @@ def fixed_costs(costs: np.ndarray, traversable: np.ndarray) -> np.ndarray:
         )
     moves = existing_moves(free)
     if not (costs[moves] > 0).all() or np.isinf(costs[0][free]).any():
-        raise InputError("costs of moves are above zero, and finite for waiting")
+        raise InputError("costs of moves must be above zero, and finite for waiting")
     allowed = moves & np.isfinite(costs)
     fixed = np.zeros(costs.shape, np.int32)
     ratio = costs[allowed] / costs[allowed].mean()
@@ -105,7 +105,7 @@ def existing_moves(traversable: np.ndarray) -> np.ndarray:
 
 
 def preferences(costs: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return how many times over the cheaper way between two cells is cheaper, in doublings.
+    """Return by how many doublings the cheaper way between two cells is cheaper.
 
     `costs` ([5, H, W]) are zero or infinite where a move is not allowed, agents may drive on `free`
     (bool [H, W]). Returns float [2, H, W]: log2 of the cost back over the cost there, between each
@@ -125,7 +125,7 @@ def backwards(values: np.ndarray, fill: float) -> np.ndarray:
 
 
 def _check_connected(fixed: np.ndarray, free: np.ndarray) -> None:
-    """Refuse one-way lanes by which some cell cannot be reached from another."""
+    """Raise InputError if one-way lanes make a cell unreachable from another."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

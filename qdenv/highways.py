@@ -15,7 +15,7 @@ from qdenv.native import compiled
 _TASKS = 100_000  # planned in turn, as published
 _SEED = 0
 _ALONG, _AGAINST, _FULL = 0.5, 1.2, 1.3  # alpha, beta and gamma of Cohen et al. 2016
-# Of all moves those with the smallest cost, a seventh, may be highways; a fifth of them is.
+# The cheapest seventh of all moves may be highways; a random fifth of these are.
 _CANDIDATES, _HIGHWAYS, _HIGHWAY = 1 / 7, 1 / 5, 0.5
 _CHEAPEST, _DEAREST = 0.1, 100.0  # costs after scaling; waiting costs 1
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: one line that says how to go on, and the end, whatever is under way.
+"""Ctrl-C and SIGTERM: print how to go on, and exit, whatever is running.
 
 Compiled code and compilers do not look at Python's signals for seconds, and a process that is torn
 down in the middle of them crashes. So a thread of its own waits for the signal, saves what is done
@@ -82,7 +82,7 @@ def _save(reader: socket.socket) -> None:
                 _unsaved[0]()
 
     with contextlib.suppress(OSError):
-        os.write(2, b"\nqdenv: saving what is done; once more ends at once\n")
+        os.write(2, b"\nqdenv: saving; interrupt again to quit at once\n")
     saving = threading.Thread(target=save, daemon=True)
     saving.start()
     reader.settimeout(_LOOK_SECONDS)
@@ -117,7 +117,7 @@ def discard_unfinished() -> None:
 
 
 def advise(folder: object = None) -> None:
-    """Say that `qdenv resume` with a run's folder goes on after an interruption, or this program.
+    """Set what `advice` names: `qdenv resume` with a run's `folder`, or else this program.
 
     In a program the first call counts: later ones are about a part of the same work.
     """

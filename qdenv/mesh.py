@@ -14,8 +14,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 _AXIS = "devices"
-# Held during a call that devices share: they wait for each other in it, and those of two calls at
-# once could wait for ever.
+# Held during a call that devices share: they wait for each other in it, and two calls at once
+# could deadlock.
 turn = threading.Lock()
 
 
@@ -28,7 +28,7 @@ def map_items(function: Callable[..., Any], *items: Any) -> Any:
     """
     devices = jax.local_devices()
     mesh = Mesh(np.asarray(devices), (_AXIS,))
-    # Whole on both sides: the compiler would share out what comes before and after as well, and
+    # Replicated on both sides: else the compiler would shard what comes before and after, and
     # add up in another order there.
     whole = NamedSharding(mesh, PartitionSpec())
     size = len(jax.tree.leaves(items)[0])
@@ -68,8 +68,8 @@ def map_runs(function: Callable[..., Any], layouts: Any, runs: jax.Array) -> Any
 def count_parts(layouts: int, seeds: int, devices: int) -> int:
     """Choose into how many parts the runs of each layout are cut: a divisor of the devices.
 
-    The busiest device shall have the fewest runs; among equals the fewest parts, because each
-    computes once more what the runs of its layout have in common.
+    The busiest device has as few runs as possible; of equal choices the fewest parts win, for
+    each computes again what the runs of its layout share.
     """
     divisors = (one for one in range(1, devices + 1) if devices % one == 0)
     return min(divisors, key=lambda parts: -(-layouts * parts // devices) * -(-seeds // parts))

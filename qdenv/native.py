@@ -50,7 +50,7 @@ def compiled(
 ) -> Function:
     """Compile `function`, with a disk cache where there is a writable place for one.
 
-    `inner_options` names settings of numba to switch on; off, where they begin with `_`.
+    `inner_options` names numba settings to switch on, or off if a name begins with `_`.
     """
     folder = _cache_folder(function.__module__)
     # numba reads its setting when a function is declared. A changed environment would reach other
@@ -78,7 +78,7 @@ def compiled(
 
 
 class _Forgiving:
-    """A disk cache of numba that costs time at worst: what cannot be read or kept is compiled."""
+    """A disk cache of numba that never fails: what it cannot read or write is compiled again."""
 
     def __init__(self, cache: Any, folder: Path) -> None:
         self._cache, self._folder = cache, folder
@@ -111,8 +111,8 @@ def kernel(function: Function, forceinline: bool = False) -> Function:
     the call ends, so nothing needs counting. A function that does make an array in spite of its
     promise is refused when it is compiled.
 
-    Much of the machine code of a kernel would take the records of Python apart. Only kernels
-    call most kernels: that code is left out, and compiled for those that Python calls.
+    Much of a kernel's machine code would unpack Python's records. Most kernels are called by
+    kernels alone: only those that Python calls are compiled with that code.
     """
     options = "_nrt", "no_cfunc_wrapper"
     made: Any = compiled(function, forceinline, (*options, "no_cpython_wrapper"))

@@ -39,7 +39,7 @@ _MAX_WEIGHT, _MAX_HIDDEN = 2, 16  # weights, and what a hidden layer gives, are 
 # Largest sums of absolute weights into a channel, of the first layer and of the others:
 # (30 * 1 + 2) * 512 * 1024 = (63 * 16 + 16) * 512 * 32 = 2^24.
 _MAX_SUMS = (30, 63)
-_LOGIT = 128  # of what the sigmoid is taken of, which is looked up
+_LOGIT = 128  # steps per unit in the look-up table of the sigmoid
 # How many powers of a half are tried until a layer's weights are that small. A rectified layer of
 # half the weights gives half the numbers: sums of the last one, doubled as often, are the same.
 _HALVINGS = 8

@@ -51,7 +51,7 @@ def make_pipeline(config: EvaluationConfig, repair_seed: int = 0) -> Pipeline:
     """
     domain = make_domain(config.domain)
     generator = GENERATORS.make(config.generator, domain.canvas)
-    # A generator that draws no tiles leaves a floor that stands, whatever rules that obeys.
+    # A generator that draws no tiles leaves the floor as it is, whatever rules it obeys.
     repairs = getattr(config.generator, "draws", True)
     guide = None if generator.guide is None else partial(draw_costs, domain.simulator, generator)
 

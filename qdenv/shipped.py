@@ -77,7 +77,7 @@ class Origin:
     qdenv: str  # version that searched
     created: str  # when it began
     counted: str  # what is averaged over simulations, with its unit
-    further: int = 0  # evaluations of further runs, which began at other elites, and gave some
+    further: int = 0  # evaluations of more runs, from other elites, that gave some of these
     start: str = ""  # the generator of the zoo before this one where it began; "" for zeros
 
 

@@ -59,7 +59,7 @@ def difference(ours: Sample, theirs: Sample) -> Difference:
     The runs of two layouts share seeds, but a seed means other starts and goals on another layout:
     nothing is paired. The ratio has Fieller's interval (1954, "Some problems in interval
     estimation") with unequal variances and Welch's degrees of freedom (1947,
-    https://doi.org/10.2307/2332510), so that it excludes 0 % just where Welch's t-test finds the
+    https://doi.org/10.2307/2332510), so that it excludes 0 % exactly where Welch's t-test finds the
     means different.
 
     There is no interval if either mean has fewer than two runs, or if `theirs` may well be 0.
@@ -77,7 +77,7 @@ def paired_difference(ours: ArrayLike, theirs: ArrayLike) -> Difference:
 
     A pair shares its seed, so that what chance does to both alike drops out: two planners on one
     layout have the same starts and goals. Fieller's interval as in `difference`, with the
-    covariance of the means and n - 1 degrees of freedom: it excludes 0 % just where the paired
+    covariance of the means and n - 1 degrees of freedom: it excludes 0 % exactly where the paired
     t-test finds the means different.
     """
     both = np.array([ours, theirs], float)

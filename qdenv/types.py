@@ -46,7 +46,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        """Say what is wrong; line breaks become blanks, what no terminal should see is spelt."""
+        """Shorten a long message, join its lines, escape what cannot be printed."""
         if len(message) > _LONGEST_LINE:  # the middle is left out
             half = _LONGEST_LINE // 2
             message = f"{message[:half]} ... {message[-half:]}"
@@ -57,7 +57,7 @@ class InputError(ValueError):
 
 
 class DamagedError(InputError):
-    """A file is not what was once written, as after a crash of the machine: others may be."""
+    """A file's content is damaged, as after a crash of the machine; another may be intact."""
 
 
 @contextmanager
@@ -133,8 +133,7 @@ class Cover(NamedTuple):
 
     Squares that cover the driving area make aisles as wide as they are; rectangles that cover the
     shelves make racks; rows of one or two with floor at both ends have aisles on both sides. What
-    cannot be otherwise is no breach: a passage for which fixed cells leave no room, and a shelf
-    that is fixed.
+    fixed cells make unavoidable is allowed: a passage with no room to widen, a fixed shelf.
     """
 
     tiles: str
@@ -149,9 +148,9 @@ class Cover(NamedTuple):
 
 
 class Straight(NamedTuple):
-    """Demand straight aisles: of `most` + 1 successive rows one at least holds none of `tiles`.
+    """Demand straight aisles: at least one of `most` + 1 successive rows holds none of `tiles`.
 
-    Of columns the same. Walls may interrupt such a row or column.
+    The same for columns. Walls may interrupt such a row or column.
     """
 
     tiles: str
@@ -237,7 +236,7 @@ class Goal(NamedTuple):
     # timesteps an agent stays on the goal after arriving, blocking the cell: one number, or a
     # function layout int8 [H, W] -> int [H, W] where they differ from cell to cell
     stay: int | Callable[[Array], Array] = 0
-    name: str = "goal"  # how messages call it
+    name: str = "goal"  # what messages call it
 
     def stays(self, layout: Array) -> Array:
         """Return the timesteps an agent stays on each cell of `layout` (int8 -> int [H, W])."""
@@ -258,7 +257,7 @@ class Traffic(NamedTuple):
     """One lifelong multi-agent simulation."""
 
     throughput: Array  # float32, finished tasks / T, over the full T
-    congested: Array  # bool, ever more than half of the agents stuck over a window
+    congested: Array  # bool, more than half of the agents stuck over some window
     end_timestep: Array  # int32, steps simulated (less than T only after congestion)
     finished: Array  # int32 [T], tasks finished at each timestep
     usage: Array  # float32 [H, W], share of agent-steps spent on each cell, sums to 1
@@ -273,7 +272,7 @@ class Traffic(NamedTuple):
 class Measure(NamedTuple):
     """One axis of the archive: `cells` equal intervals between `low` and `high`."""
 
-    name: str  # how plots and tables call it
+    name: str  # what plots and tables call it
     low: float  # value at the archive's lower edge
     high: float  # value at its upper edge
     cells: int  # number of cells in between

@@ -192,7 +192,7 @@ def test_tasks_that_arrive_at_a_rate_leave_robots_idle(hall, capsys):
     assert 0.3 < facts["idle_share"] < 0.9 and 2 < facts["order_wait"] < 20
     said = capsys.readouterr().out
     assert "of their time; one waits" in said
-    assert f"flows: without an order agents spend {facts['idle_share']:.0%} of their time" in said
+    assert f"flows: agents have no order for {facts['idle_share']:.0%} of their time" in said
     assert Path("p.csv").read_text().splitlines()[1].endswith(",-1,-1,0")
     # More tasks than the robots can do: they move what they always do, and orders wait for ever.
     short = {"agents": 3, "timesteps": 400, "seeds": 4}

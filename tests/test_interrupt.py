@@ -106,7 +106,7 @@ def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, s
     assert work.stdout.readline() == "ready\n"
     work.send_signal(signal.SIGTERM)
     said = work.stderr.readline() + work.stderr.readline()
-    assert said == "\nqdenv: saving what is done; once more ends at once\n"
+    assert said == "\nqdenv: saving; interrupt again to quit at once\n"
     if signals > 1:
         work.send_signal(signal.SIGTERM)
     _, said = work.communicate(timeout=60)

@@ -348,7 +348,7 @@ def test_agents_of_different_sizes_have_no_mean(tmp_path):
     [
         ({"method": "magic"}, "choose one of dr, plr, accel"),
         ({"actions": 2}, "actions must be at least 3"),
-        ({"fresh": 17}, "more levels are fresh"),
+        ({"fresh": 17}, "fresh must be at most bank"),
         ({"ppo": ppo.PPOConfig(lanes=8, minibatches=3)}, "divide"),
         ({"warm_start": "/nowhere.npz"}, "there is no agent"),
         ({"anchor": 0.5}, "add --warm-start"),

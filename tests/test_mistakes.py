@@ -69,7 +69,7 @@ MISTAKES = {
     "layout symbols --domain moon": "unknown domain 'moon'",
     "convert plan.txt a.map --format png2": "choose one of",
     "convert plan.txt a.txt --format rhcr": "rhcr needs a name that ends in .grid",
-    "convert plan.txt a.yaml": "--format says which: rmf or ros",
+    "convert plan.txt a.yaml": "choose by --format: rmf or ros",
     "convert plan.txt a.lif --cell 2000": "0.001 to 1000 metres",
     # Files that are not what they should be.
     "simulate nowhere.txt": "cannot be read",

@@ -74,7 +74,7 @@ def test_a_planner_says_its_own_limits():
         fleet.prepare(layout, PLAIN, longest)
         with pytest.raises(InputError, match=f"'{name}' plans at most {most} .* not {most + 1}"):
             fleet.prepare(layout, PLAIN, replace(longest, window=most + 1))
-    with pytest.raises(InputError, match="a horizon of 6 is beyond the window, 5"):
+    with pytest.raises(InputError, match="horizon must be at most window, 5, not 6"):
         fleet.FleetConfig(horizon=6, window=5)
     with pytest.raises(InputError, match="no planner is registered for str"):
         fleet.FleetConfig(planner="low")

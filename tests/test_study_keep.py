@@ -82,7 +82,7 @@ def test_what_cannot_stay_is_refused_in_one_line(keep, reason, plan, capsys):
 
 def test_without_a_plan_a_drawing_of_tiles_is_all(plan):
     domain = plan.domain.resized(4, 11, {"shelves": 2})
-    with pytest.raises(InputError, match="keep w: that is of a plan: give --plan FILE"):
+    with pytest.raises(InputError, match="keep w: this needs a plan: give --plan FILE"):
         keep_from("w", domain)
     Path("keep.txt").write_text("!" + "?" * 10 + ("\n" + "?" * 11) * 3)
     with pytest.raises(InputError, match="'!' stands for a plan's tile: add --plan FILE"):

@@ -29,7 +29,7 @@ _LARGEST_SIDE = 1000  # of a maze: nothing larger was tried
 
 @dataclass(frozen=True)
 class PPOConfig(Ranged):
-    """Numbers of the algorithm."""
+    """Settings of PPO."""
 
     lanes: PositiveInt = 256  # environments that run side by side, E
     timesteps: PositiveInt = 128  # steps T of one rollout; gradients flow through all of them
@@ -113,7 +113,7 @@ class TrainConfig(Ranged):
         if self.anchor and not self.warm_start:
             raise InputError("an anchor is a policy to start from: add --warm-start AGENT.npz")
         if self.fresh > self.bank:
-            raise InputError("more levels are fresh in an update than the bank holds")
+            raise InputError("fresh must be at most bank, the levels in the buffer")
 
     @property
     def updates(self) -> int:

@@ -113,8 +113,8 @@ def _refuse(message: str) -> int:
 def _describe(error: OSError | MemoryError | RuntimeError) -> str:
     """Return the line for an error of the system; any other error is raised again."""
     if isinstance(error, OSError):
-        # Of what goes wrong with a file only writing to an open one does not name it, and files of
-        # results have messages of their own (`write_atomically`).
+        # Errors name their file unless an open one is written to; results have messages of their
+        # own (`write_atomically`).
         place = error.filename or ("standard output" if error.errno in _WRITING else "the system")
         message = f"{str(place)[:_LONGEST]}: {error.strerror or error}"
     elif isinstance(error, MemoryError) or re.search(
@@ -195,7 +195,7 @@ def _run_command(name: str, typed: list[str]) -> int:
             if read or not isinstance(one, Path):
                 continue
             if written.setdefault(os.path.realpath(one), option) != option:
-                raise InputError(f"{one}: named twice: what is written needs a name of its own")
+                raise InputError(f"{one}: named twice: give each output a name of its own")
         if replaced := set(filter(os.path.isfile, written)):
             for beside in _files_beside(filter(os.path.exists, map(str, flat(arguments)))):
                 if os.path.realpath(beside) in replaced:

@@ -70,7 +70,7 @@ def make_rules(chosen: Choices, rest: Sequence[str]) -> ConstructorRegistry:
             return _options((name, one, own[name]) for name, one in kinds.items())
         if kind in (args.PlannerOptions, args.PibtOptions):
             usual = "" if chosen.effort else kind.usual
-            # The settings of several are those of the first, and are refused.
+            # Of several, take the first one's: `each_planner` refuses them.
             settings = find_planner(chosen.effort, (chosen.planner or usual).partition(",")[0])
             _check_planner_options(rest, settings)
             about = "planner of the paths; --help-all lists its settings"

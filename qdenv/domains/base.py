@@ -33,7 +33,7 @@ def environment_entropy(kinds: int, margin: tuple[int, int] = (0, 0)) -> Measure
     return Measure("environment entropy", 0, 1, 100, value)
 
 
-_DOOR = 4  # cells that a gap in an outer wall is wide at most to be a door
+_DOOR = 4  # most cells of a gap in an outer wall that counts as a door
 # In a drawing of cells that must stay: anything may be here, and what the plan beside it holds.
 FREE, SAME = "?", "!"
 
@@ -71,7 +71,7 @@ class DomainConfig(Ranged):
         return getattr(self.fleet or self, "timesteps", None)
 
     def scaled(self, ratio: float, size: KnownSize | None, given: Collection[str]) -> Self:
-        """Scale the numbers that are no numbers of tiles: the agents of a fleet, or timesteps.
+        """Scale settings other than numbers of tiles: the agents of a fleet, or timesteps.
 
         `ratio` is the generated area of these settings over that of those they were made from.
         Known numbers of this size replace the scaled ones; settings that are `given` do not change.
@@ -179,7 +179,7 @@ class Domain:
 
     @property
     def names(self) -> dict[str, str]:
-        """How legends and tables call the tiles, by their symbols."""
+        """What legends and tables call the tiles, by their symbols."""
         return {symbol: tile.name for symbol, tile in self.meanings.items()}
 
     @property
@@ -286,7 +286,7 @@ class Domain:
         return make_domain(replace(empty.config, **chosen))
 
     def demand_plan(self) -> None:
-        """Raise InputError if nothing says where the tiles are that stay: a plan would."""
+        """Raise InputError if a plan is missing that places the tiles that stay."""
         if self.stays and not self.config.keep:
             rows, cols = self.shape
             where = f"walls and stations of a {self.name} of {rows} x {cols}"
@@ -301,7 +301,7 @@ class Domain:
 
         `numbers`, as of `resized`, replace those that they name. Cells whose tiles have no other
         place (`stays`) stay as this layout has them, and doors do: gaps of up to four cells in a
-        wall along the layout's edge. Unless the settings say of this size already what must stay.
+        wall along the layout's edge. Neither is added if the settings keep cells of this size.
         """
         own = {
             name: int((layout == self.tiles.index(symbol)).sum())

@@ -33,7 +33,7 @@ def fleet_simulator(tasks: TaskRule, config: FleetConfig) -> Simulator:
 def throughput(layout: Any, runs: Traffic) -> jax.Array:
     """Average the throughput over *all* runs, congested ones too: the objective f_res (float32).
 
-    A run that congests ends early and counts with what it had finished, so a layout is paid for
+    A run that congests ends early and counts with what it had finished, so a layout pays for
     every run it spoils. Studies of single layouts report the mean of successful runs instead.
     """
     return jnp.asarray(runs.throughput).mean()

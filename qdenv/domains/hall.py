@@ -57,7 +57,7 @@ class BuiltConfig(DomainConfig):
 
 @dataclass(frozen=True)
 class HallConfig(BuiltConfig):
-    """The numbers of a hall."""
+    """Settings of a hall."""
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]

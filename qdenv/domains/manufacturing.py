@@ -32,7 +32,7 @@ _STATION_WEIGHT = 5.0  # p_i of a generated station in the similarity (appendix 
 
 @dataclass(frozen=True)
 class ManufacturingConfig(DomainConfig):
-    """The numbers of a factory."""
+    """Settings of a factory."""
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]

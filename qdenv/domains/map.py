@@ -25,7 +25,7 @@ _MEANINGS = {
 
 @dataclass(frozen=True)
 class MapConfig(DomainConfig):
-    """The numbers of a map."""
+    """Settings of a map."""
 
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
     # tasks that arrive per timestep; they never run out where it is 0

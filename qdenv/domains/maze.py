@@ -33,7 +33,7 @@ _ACCELERATOR_LANES = 7500
 
 @dataclass(frozen=True)
 class MazeConfig(DomainConfig):
-    """The numbers of a maze whose first measure is the number of walls."""
+    """Settings of a maze whose first measure is the number of walls."""
 
     rows: NonNegativeInt = 18  # rows of the maze with its ring of walls
     cols: NonNegativeInt = 18  # columns of the maze with its ring of walls
@@ -50,7 +50,7 @@ class MazeConfig(DomainConfig):
 
 @dataclass(frozen=True)
 class EntropyMazeConfig(MazeConfig):
-    """The numbers of a maze whose first measure is the environment entropy."""
+    """Settings of a maze whose first measure is the environment entropy."""
 
 
 # Reads an agent's file once (the shipped one for "").

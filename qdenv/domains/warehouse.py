@@ -49,7 +49,7 @@ def frame(tiles: Array) -> jax.Array:
 
 @dataclass(frozen=True)
 class WarehouseConfig(BuiltConfig):
-    """The numbers of a warehouse whose workstations are all drawn alike."""
+    """Settings of a warehouse whose workstations are all drawn alike."""
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
@@ -60,7 +60,7 @@ class WarehouseConfig(BuiltConfig):
 
 @dataclass(frozen=True)
 class UnevenWarehouseConfig(WarehouseConfig):
-    """The numbers of a warehouse whose left workstations are likelier (appendix B.1)."""
+    """Settings of a warehouse whose left workstations are likelier (appendix B.1)."""
 
     # how much likelier a workstation on the left border is than one on the right
     left_odds: Odds = 5.0

@@ -177,8 +177,8 @@ def _spread(counts: Mapping[tuple[int, int], float], endpoints: np.ndarray) -> n
         beside = [(row + down, column + right) for down, right in MOVES]
         near = {(row, column)} & found or {*beside} & found
         if not (0 <= row < rows and 0 <= column < cols and near):
-            what = "an endpoint or beside one: both are counted from 0"
-            raise InputError(f"row {row}, column {column} is no cell of the plan that is {what}")
+            what = "neither an endpoint of the plan nor beside one: count both from 0"
+            raise InputError(f"row {row}, column {column} is {what}")
         for cell in near:
             odds[cell] += count / len(near)
     away = ndimage.distance_transform_edt(~endpoints, return_distances=False, return_indices=True)

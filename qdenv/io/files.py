@@ -224,7 +224,7 @@ def damaged(source: Path | str, reason: object) -> DamagedError:
 
 @contextlib.contextmanager
 def parsing(path: Path, what: str) -> Iterator[None]:
-    """Say of a damaged file, whatever a library stumbles over in it, that it is not `what`."""
+    """Turn any error of a library that reads `path` into DamagedError: not `what`."""
     try:
         yield
     except InputError:

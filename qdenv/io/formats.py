@@ -108,7 +108,7 @@ def _find(path: Path, form: str | None, way: str) -> str | None:
     if form is None:
         fit = [name for name, one in able.items() if ending in one.endings]
         if ending == ".yaml" and fit:  # no format with it is the usual one
-            raise InputError(f"{path}: --format says which: {' or '.join(fit)}")
+            raise InputError(f"{path}: choose by --format: {' or '.join(fit)}")
         return fit[0] if fit else None
     if way == "write" and ending not in able[form].endings:
         ends = " or ".join(able[form].endings)

@@ -37,7 +37,7 @@ def costs_of(weights: Sequence[float], traversable: np.ndarray) -> np.ndarray:
         raise InputError(f"{len(values)} weights are not those of this layout: its {own}")
     values[values == _NOT_ALLOWED] = np.inf
     if not (values > 0).all() or np.isinf(values[: len(values) - moves]).any():
-        raise InputError("costs of moves are above zero, and finite for waiting")
+        raise InputError("costs of moves must be above zero, and finite for waiting")
     ways = np.full(exists.shape, np.inf)
     ways[exists] = values[-moves or len(values) :]
     costs = np.full((NUM_MOVES, *traversable.shape), np.inf)

@@ -94,7 +94,7 @@ def read_xlsx(path: Path) -> Drawing:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             if sum(one.file_size for one in archive.infolist()) > _MAX_UNPACKED:
                 raise damaged(path, f"more than {_MAX_UNPACKED // MEGABYTE} MB of content")
-            # openpyxl tells merged cells only to who lets it read whole sheets, of any size.
+            # openpyxl reports merged cells only if it may read whole sheets, of any size.
             sheets = [one for one in archive.namelist() if one.endswith("/sheet1.xml")]
             if any(b"<mergeCell " in archive.read(one) for one in sheets):
                 raise damaged(path, "merged cells hold one tile: split them, and fill each cell")

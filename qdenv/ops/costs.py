@@ -35,7 +35,7 @@ _GROWTH = 4e-7  # of one cell in one step
 _REPAIR = 1e-4  # of one cell
 _SHAPED = 3.0  # times as long, where rules prescribe aisles or racks
 _USUAL_CELLS = 33 * 36
-# Of one agent in one timestep there. In a search many runs congest and end early, which is in it.
+# Of one agent's timestep at that size, averaged over searches, where many runs end early.
 _STEP = {"low": 0.8e-6, OWN: 4e-6, "pibt": 0.25e-6, "pbs": 3e-5}
 _MAZE_STEP = 3.4e-7
 # Of learning from one evaluation, at the preset's size. Those on the paper's rows are reckoned from
@@ -105,7 +105,7 @@ def remember_cost(config: RunConfig, rows: Sequence[Metrics]) -> None:
 
 
 def _key(config: RunConfig) -> str:
-    """Tell settings apart on which an evaluation's time depends; where it runs does not count."""
+    """Hash the settings that the time of an evaluation depends on, but not where it runs."""
     repair = dataclasses.replace(config.evaluation.repair, workers=None)
     evaluation = dataclasses.replace(config.evaluation, repair=repair, alpha=0.0)
     name = ALGORITHMS.name_of(config.algorithm)

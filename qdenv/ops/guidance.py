@@ -1,4 +1,4 @@
-"""Find guidance, the costs of moves, for a floor that stands."""
+"""Find guidance, the costs of moves, for an existing floor."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class Improvement(NamedTuple):
     high: float  # upper end
     # percent where all shelves are alike; None for more robots, stated demand, or no hall
     by_shelf: float | None
-    better: bool  # no interval of the section reaches down to the plan: its plan was written
+    better: bool  # all intervals of the section lie above the plan: its plan was written
 
 
 def improve(
@@ -147,7 +147,7 @@ def improve_folder(
     progress: bool = True,
     execution: Execution = Execution(),  # noqa: B008 (frozen)
 ) -> Table:
-    """Go on with what `improve` began, to its end; InputError if the folder is not as it was."""
+    """Finish what `improve` began in `folder`; InputError if its files were altered."""
     from qdenv.study import improve as studies
     from qdenv.study.guides import find_guidance
 

@@ -115,7 +115,7 @@ def check(
         say(f"{name}: layouts of {fitted.name} have no rules, none is broken")
     elif broken:
         if check_allowed(plan.layout, rules):
-            say("(what may stand there all the same: mark it with '!' in a drawing, --keep FILE)")
+            say("(to allow a tile as it stands, mark it with '!' in a drawing, --keep FILE)")
         drawn = {fitted.tiles[kind] for kind in np.unique(plan.layout)}
         if "@" in drawn and "e" in set(fitted.tiles) - drawn:
             say("(no endpoint is drawn: `qdenv repair --keep @` puts them beside the shelves)")

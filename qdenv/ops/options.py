@@ -55,7 +55,7 @@ def option(metavar: str, read: Any, names: Any = None) -> Any:
 
 
 class Mark(Enum):
-    """Arguments that are other on the command line than in Python."""
+    """Arguments that differ between the command line and Python."""
 
     TRUE = "its default is True there, and False in Python"
     PRESET = "the settings of a search"
@@ -242,7 +242,7 @@ class Fleet:
         return FleetConfig(agents, steps, planner=self.planner, stop_when_congested=self.stop)
 
     def usual(self, plan: Plan, agents: int | None) -> tuple[int, int, str]:
-        """Return what `usual_fleet` does; robots are as many as the plan's file states."""
+        """Return what `usual_fleet` does, by default for the robots in the plan's file."""
         agents = plan.facts.robots if agents is None else agents
         return usual_fleet(plan.domain, [plan.layout], agents, self.timesteps)
 
@@ -284,7 +284,7 @@ class Fleet:
     def describe(
         self, agents: str, timesteps: int, plans: Sequence[Plan], planners: Sequence[Any] = ()
     ) -> str:
-        """Return in one line what is simulated; `planners` are settings of several, if they are."""
+        """Describe in one line what is simulated, by `self.planner` or by several `planners`."""
         runs = f"{len(self.seeds)} seeds" if len(self.seeds) > 1 else "1 seed"
         end = "" if self.stop else ", no stop at congestion"
         guidance = f"; guidance: {name_guidance(plans)}" if name_guidance(plans) else ""

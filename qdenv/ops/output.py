@@ -78,8 +78,8 @@ def place(
     """Choose the file of a result, before any work is done; None if `out` is None or False.
 
     `AUTO`, or True, takes `default`, a name in the current folder, or the next free name like it
-    (plan-2.json), which no other process gets from now on. Without `endings` it is data, which any
-    but a picture's ending may name. Files among `inputs` are read, and must not be overwritten.
+    (plan-2.json), which is reserved at once. Without `endings` it is data, with any ending but a
+    picture's. Files among `inputs` are read, and must not be overwritten.
     Raises InputError if the ending is none of them, or the place is a folder, an input, read-only.
     """
     if out is None or out is False:

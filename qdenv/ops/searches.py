@@ -67,7 +67,7 @@ def presets() -> Result:
     head = ("preset", "domain", "algorithm", "size", "agents", "steps", "evaluations", "takes")
     say(*format_table([head, *([row[name] for name in head] for row in table)]))
     say("agents: robots in a simulation; steps: its timesteps; evaluations: layouts simulated")
-    say("", "sizes with usual numbers, which commands take there (train: not fleets' timesteps):")
+    say("", "sizes with defaults of their own (for train, fleets' timesteps are not among them):")
     for name in dict.fromkeys(str(row["domain"]) for row in table):
         domain = find_domain(name)
         for (rows, cols), size in domain.known.items():

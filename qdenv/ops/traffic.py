@@ -191,7 +191,7 @@ def audit_run(
             is of the domain map.
 
     Returns:
-        a `BrokenRule` for each broken rule of movement, the first time that it was, and for each
+        a `BrokenRule` for each broken rule of movement, at its first breach, and for each
             task that was not finished as stated; empty for a valid run.
 
     Raises:

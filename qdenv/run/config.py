@@ -28,7 +28,7 @@ from qdenv.types import InputError, Measure
 WITHOUT_EFFECT = ("evaluations", "checkpoint_every", "workers", "backend")
 # Settings whose type is a choice, wherever a field of this name stands.
 _CHOICES = dict(domain=DOMAINS, generator=GENERATORS, planner=PLANNERS, algorithm=ALGORITHMS)
-# Settings of runs that were written before these could be chosen: part, its names, what held then.
+# Defaults for runs older than these settings: part of the configuration, its names, values.
 _FORMER: tuple[tuple[str, tuple[str, ...], dict[str, Any]], ...] = (
     ("generator", ("nca", "guided-nca"), {"arithmetic": "float"}),
     ("domain", ("manufacturing",), {"goal_odds": "stations"}),
@@ -71,7 +71,7 @@ def config_from_json(content: dict[str, Any], source: Path) -> RunConfig:
     evaluation = content.get("evaluation")
     if not isinstance(evaluation, dict):
         raise damaged(source, "no configuration of a run: evaluation is missing")
-    # What was so when nothing was written about it.
+    # Defaults for what older files do not state.
     for part, names, former in _FORMER:
         settings = evaluation.get(part)
         if isinstance(settings, dict) and settings.get("name") in names:

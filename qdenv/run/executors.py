@@ -49,8 +49,8 @@ _SLOW = 5.0
 SETTINGS = {
     # Workers would sample a hundred times a second what they do, for a dashboard that nobody sees.
     "distributed.worker.profile.enabled": False,
-    # A cluster here gives a worker up, for ever, that is not back when this time after its death is
-    # over. On a busy machine the nanny takes longer to start another: the search would never end.
+    # A local cluster gives up for ever on a worker that is not back this long after its death. On
+    # a busy machine the nanny takes longer to start another: the search would never end.
     "distributed.deploy.lost-worker-timeout": "1 day",
 }
 REMEMBERED = 100  # tasks whose duration is remembered

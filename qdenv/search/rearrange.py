@@ -102,7 +102,7 @@ def rearrange(config: RearrangeConfig, problem: Problem, x0: Array | None = None
 
 
 def _selected(own: Population, held: jax.Array, score: Score) -> tuple[Population, Population]:
-    """Count a batch, the members before their children: the members so far, and the next ones."""
+    """Count a batch (members, then children); return the members now and the next ones."""
     members, values = len(own.times), score.result_objective
     begins = own.times.sum() == 0
     present, again = (own.times > 0) & score.success[:members], values[:members]

@@ -44,7 +44,7 @@ class Unrepaired(NamedTuple):
     elite: Elite | None  # whose layout; None where no elite drew it (a tiled layout)
     layout: np.ndarray  # int8 [H, W]
     steps: int  # of growth; 0 where nothing grew
-    repair: RepairConfig = RepairConfig()  # its search's for what that drew, else in full
+    repair: RepairConfig = RepairConfig()  # the run's if the run drew it, else in full
 
 
 class Sized(NamedTuple):

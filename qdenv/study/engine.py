@@ -44,8 +44,8 @@ def run_seeds(
 ) -> Simulated:
     """Simulate a floor, or a layout (int8 [H, W]) alone, once per seed, on all cores.
 
-    Layouts of one size share a compiled program; so do numbers of agents, of which there are at
-    most ``config.agents``, and as many unless given. `read` is called with each seed, its run and
+    Layouts of one size share a compiled program; so do numbers of `agents`, at most
+    ``config.agents``, the default. `read` is called with each seed, its run and
     its recording, which is dropped afterwards: all recordings together may not fit into memory.
     Without it nothing is recorded. `threads` is the number of runs at a time, None for that of the
     cores. Raises InputError if the domain has no fleet, or the layout does not suit it.

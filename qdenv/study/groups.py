@@ -20,7 +20,7 @@ _NAMES = {
     "random": "random search",
     "cma-mae-screened": "CMA-MAE, screened",
 }
-# Columns of metrics.csv, and how people call them.
+# Columns of metrics.csv, and what people call them.
 CURVES = {"qd_score": "QD-score", "coverage": "coverage", "best_objective": "best objective"}
 
 

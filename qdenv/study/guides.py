@@ -1,4 +1,4 @@
-"""Guidance for a floor that stands: the search of its costs, and what was found."""
+"""Guidance for an existing floor: the search of its costs, and what was found."""
 
 from dataclasses import replace
 from typing import Any, get_args
@@ -62,7 +62,7 @@ def guide_config(
     }
     settings = replace(domain.config, fleet=fleet, keep=tuple(draw(plan.layout, domain.tiles)))
     generator = look_up(generators, method, "method")
-    # The measures of a floor that stands are numbers: one cell holds them all.
+    # The measures of an existing floor are fixed: one cell holds them all.
     axes = [(0.0, float(domain.limit_of(axis) or axis.high), 1) for axis in domain.measures]
     far = named and method == "costs"
     return RunConfig(
@@ -85,8 +85,8 @@ def best_base(plan: Plan, fleet: FleetConfig) -> str:
 def start_at(plan: Plan) -> np.ndarray:
     """Return the solution of the generator `costs` (float [P]) that gives a plan its costs.
 
-    As any of that generator's they are within a factor of ten of their mean: dearer moves, and
-    those that are not allowed, begin there.
+    Like all costs that it draws they are at most ten times the mean: dearer moves, and those
+    that are not allowed, begin there.
     """
     moves = existing_moves(plan.domain.drivable(plan.layout))
     costs = np.ones(moves.shape) if plan.costs is None else plan.costs

@@ -38,7 +38,7 @@ from qdenv.study.guides import best_base, guide_config
 from qdenv.study.plans import Plan, guide, with_tasks
 from qdenv.types import RepairStatus
 
-# Folder of a search -> how people call it, and its share of the time; the rest is for judging.
+# Folder of a search -> what people call it, and its share of the time; the rest is for judging.
 SECTIONS = {
     "lanes": ("lanes only", 0.1),
     "racks": ("some racks", 0.15),
@@ -46,7 +46,7 @@ SECTIONS = {
     "floor": ("a new floor", 0.3),
 }
 CROWD = 1.25  # times the number of robots, at which no result may be worse either
-_SEARCHED = 1.125  # times it, with which a search simulates: between both
+_SEARCHED = 1.125  # times it, in the simulations of a search: halfway
 _TIMESTEPS = 300  # of a simulation in a search, at most: jams form within that time
 _SIMULATIONS = 1  # of a layout in an evaluation: what looks good is evaluated again and again
 # A rearranged layout breaks few rules: a fourteenth of the usual annealing mends it, in 12 ms on
@@ -102,7 +102,7 @@ class Judged(NamedTuple):
 
     @property
     def is_better(self) -> bool:
-        """Return True if neither 95 % interval reaches down to the plan."""
+        """Return True if both 95 % intervals lie above the plan."""
         return all(change.low > 0 for change in self.changes)
 
 
@@ -231,8 +231,7 @@ def judge(
     """Choose the best of the plans that each section found, and compare it with one's own.
 
     Few simulations choose, others judge: the best of many was lucky, too. Raises RuntimeError if
-    what is handed out breaks a rule or moves a rack that must stay, which would be a mistake of
-    ours.
+    a result breaks a rule or moves a rack that must stay, which would be a bug.
     """
     fleets = [
         replace(config.fleet, agents=round(share * config.fleet.agents)) for share in (1.0, CROWD)
@@ -248,7 +247,7 @@ def judge(
     for number, (section, one) in enumerate(candidates, 1):
         progress("judging", number / (len(candidates) + 1), SECTIONS[section][0])
         gain = drive(one, _PILOTS).mean(axis=1) / np.maximum(hers, 1e-9)
-        # First of all it is no worse in the crowd; then what counts is her number of robots.
+        # Rank by the gain at the stated number of robots, less any loss in the crowd.
         worth = gain[0] + min(gain[1] - 1, 0)
         if section not in chosen or worth > chosen[section][0]:
             chosen[section] = worth, one

@@ -80,7 +80,7 @@ def parse_counts(agents: int | str | Sequence[int] | None) -> tuple[int, ...]:
 def keep_from(
     keep: Keep, domain: Domain, layout: np.ndarray | None = None, folder: Path = Path()
 ) -> Domain:
-    """Demand of a domain at a plan's size that cells stay as the plan (int8 [H, W], or None) is.
+    """Make cells of a domain at a plan's size stay as in the plan (int8 [H, W], or None).
 
     Each part of `keep` is one of three: tiles, all of whose cells stay (``w#``); a rectangle of
     rows and columns, the last ones not included (``0:7,33:40``); or the file of a drawing of the
@@ -101,7 +101,7 @@ def keep_from(
                 cells = _read_cells(drawing, domain, symbols)
             continue
         if symbols is None:
-            raise InputError(f"keep {part}: that is of a plan: give --plan FILE")
+            raise InputError(f"keep {part}: this needs a plan: give --plan FILE")
         if found := rectangle(part, symbols.shape):
             cells[found] = symbols[found]
             continue

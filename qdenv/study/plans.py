@@ -76,8 +76,8 @@ class Plan(NamedTuple):
         """Make the domain that the plan is measured by: its size, its numbers, what must stay.
 
         The numbers of tiles are the plan's own unless given, 6 or "3:9"; `keep` says what must stay
-        beyond what does by itself and what the plan's file says (`keep_from`). Raises InputError if
-        it is no such list, or no layout can have these cells.
+        besides what always does and what the plan's file names (`keep_from`). Raises InputError if
+        it is malformed, or no layout can have these cells.
         """
         if self.facts.shelves is not None:
             numbers = {"shelves": self.facts.shelves} | dict(numbers or {})
@@ -218,7 +218,7 @@ def resolve_plan(
 def keep_costs(
     plan: Plan, layout: np.ndarray, adapt: Callable[[np.ndarray], np.ndarray] | None = None
 ) -> np.ndarray | None:
-    """Take the costs of a plan over to what its layout was changed into (int8 [H, W]).
+    """Transfer a plan's costs to the `layout` (int8 [H, W]) that it was changed into.
 
     A move that the change makes possible costs what the plan's moves do on average. `adapt` brings
     grids of the plan's shape to that of the layout, where these differ.
@@ -321,7 +321,7 @@ def _guess_domain(symbols: set[str]) -> Domain:
 
 
 def station_tiles(domain: Domain) -> str:
-    """Return the tiles of stations: no generator draws them, or the rules demand some or more."""
+    """Return the tiles of stations: drivable and never drawn, or with a lower bound alone."""
     rules = domain.rules() if domain.rules else None
     at_least = [bound.tiles for bound in rules.counts if bound.high is None] if rules else []
     tasks = domain.simulator.tasks

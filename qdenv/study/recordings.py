@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # imports the simulators
     from qdenv.simulation.mapf.metrics import Recording
     from qdenv.simulation.maze.policy import Weights
 
-FADING = 0.05  # throughput that falls by more than this is no chance, nor for long
+FADING = 0.05  # share by which falling throughput shows that a jam builds up
 _DOUBT = 3.0  # standard errors by which it must fall, were tasks finished independently
 MAZES = ("maze-walls", "maze-entropy")
 MOST_SHOWN = 20_000_000  # agent-steps of a run that a browser still moves through

@@ -29,9 +29,9 @@ from qdenv.types import InputError, Traffic
 _FLOWS, _NEAR, _PAST, _CONGESTED = "flows", "near capacity", "past its peak", "congested"
 
 _MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies of them
-_JAMMED = 0.5  # share of congested runs from which on the layout is
+_JAMMED = 0.5  # share of congested runs, from which a layout is congested
 _PROBES = 2  # runs with another number of agents
-_FEWER, _FAR_FEWER, _MORE = 0.75, (0.5, 0.25), 1.25  # of the agents, those numbers
+_FEWER, _FAR_FEWER, _MORE = 0.75, (0.5, 0.25), 1.25  # times the agents, to probe
 _IDLE = 0.05  # share of time without an order from which on there are agents enough
 _GAIN = 0.02  # more throughput than this with fewer agents: past the peak
 
@@ -153,8 +153,8 @@ def judge(here: Point, probe: Callable[[int], Point], most: int, idle: float = 0
     * *flows*: none of these.
 
     `here` is of the number of agents in question, `probe` simulates another number, of which at
-    most `most` fit the layout. Agents that have no order for a share of their time (`idle`) that
-    is no chance keep up with the orders: no other number would move more.
+    most `most` fit the layout. Agents without an order for a notable share of their time (`idle`)
+    keep up with the orders: no other number would move more.
     """
     points = [here]
 
@@ -170,7 +170,7 @@ def judge(here: Point, probe: Callable[[int], Point], most: int, idle: float = 0
     if here.fading > FADING:
         return _PAST, f"a jam builds up: throughput falls by {here.fading:.0%} with time", points
     if idle > _IDLE:
-        return _FLOWS, f"without an order agents spend {idle:.0%} of their time", points
+        return _FLOWS, f"agents have no order for {idle:.0%} of their time", points
     if here.agents > 1:
         fewer = at(floor(_FEWER * here.agents))
         if _gain(here, fewer) > _GAIN:

@@ -41,7 +41,7 @@ class FleetRequest(NamedTuple):
     rivals: list[Rival | None]  # what people draw by hand around the stations of each subject
     agents: int | None  # the number of the close look; None for the first layout's peak
     counts: tuple[int, ...]  # the numbers of agents that are simulated, few to many
-    config: FleetConfig  # the numbers of a simulation
+    config: FleetConfig  # the settings of a simulation
     seeds: tuple[int, ...]  # of the runs with each number of agents
     note: str  # what a known size brings along; "" for nothing
     per_hour: float | None  # timesteps per hour; None if unknown

@@ -258,7 +258,7 @@ def _break_rings(
     right: np.ndarray,
     below: np.ndarray,
 ) -> list[Constraints]:
-    """Within a square of four cells a tree has an edge less than cells that drive.
+    """Bound tree edges in a square of four cells: one fewer than driving cells.
 
     `own` (float64 [cells, R]) are the coefficients of "the cell drives" and `drives` its constants;
     `labels` (int64 [H, W]) number the parts of what always drives, from 1 on; `right` (int64

@@ -73,7 +73,7 @@ def at_least(low: np.ndarray, *terms: tuple[np.ndarray, np.ndarray | float]) -> 
 
 
 def demand(cells: Cells, tiles: np.ndarray, needs: np.ndarray) -> Constraints:
-    """A cell with one of the roles `tiles` (bool [R]) has a neighbour with one of `needs`."""
+    """Demand of cells with roles `tiles` (bool [R]) a neighbour with one of `needs`."""
     own, holds = cells.express(tiles)
     serving, serves = cells.express(needs)
     around = [shift(cells.columns, move, -1) for move in MOVES]
@@ -202,7 +202,7 @@ def _counts(
 
 
 def _covers(cells: Cells, wholes: Sequence[np.ndarray], facts: Facts) -> Iterator[Constraints]:
-    """A cell needs a whole rectangle over it; a whole one needs all its cells to hold the tiles."""
+    """Demand a whole rectangle over each cell, and the tiles on all cells of a whole one."""
     several = iter(wholes)
     for rule, exempt in zip(facts.rules.covers, facts.exempt, strict=True):
         own, holds = cells.express(facts.roles_of(rule.tiles))
@@ -226,7 +226,7 @@ def _covers(cells: Cells, wholes: Sequence[np.ndarray], facts: Facts) -> Iterato
 
 
 def _straight(cells: Cells, lines: Sequence[np.ndarray], facts: Facts) -> Iterator[Constraints]:
-    """A straight aisle holds none of the tiles; of `most` + 1 in a row one is an aisle."""
+    """Demand no tiles in straight aisles, and one aisle among any `most` + 1 lines."""
     tiles, most = facts.rules.straight or ("", 0)
     (own, holds), may = cells.express(facts.roles_of(tiles)), facts.may(tiles)
     for axis, columns in enumerate(lines):

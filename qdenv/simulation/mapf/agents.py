@@ -106,7 +106,7 @@ def hand_out(
 ) -> FleetState:
     """Give the orders that wait to idle agents by lot, with new goals.
 
-    The others of those wait where they are, once they are near their place, which two may share.
+    Those left without one wait where they are, once near their place, which two may share.
     """
     cycle, orders = world.goals.odds.shape[0], fleet.orders
     if orders is None:

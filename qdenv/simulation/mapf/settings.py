@@ -67,7 +67,7 @@ PLANNERS = Registry(
 
 @dataclass(frozen=True)
 class FleetConfig(Ranged):
-    """The numbers of a simulation, all compile-time."""
+    """Settings of a simulation, all compile-time."""
 
     # number of robots, or the largest number if `simulate` takes fewer
     agents: PositiveInt = 200
@@ -89,7 +89,7 @@ class FleetConfig(Ranged):
             long = f"{self.agents} agents over {self.timesteps} timesteps are too many to count"
             raise InputError(f"{long}: simulate at most {most} timesteps")
         if self.horizon > self.window:
-            raise InputError(f"a horizon of {self.horizon} is beyond the window, {self.window}")
+            raise InputError(f"horizon must be at most window, {self.window}, not {self.horizon}")
         PLANNERS.name_of(self.planner)
 
 

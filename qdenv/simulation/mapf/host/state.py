@@ -37,7 +37,7 @@ class GridMap(NamedTuple):
 
 
 class RunSettings(NamedTuple):
-    """The numbers of a run."""
+    """Settings of a run."""
 
     seed: int  # of all that is drawn
     timesteps: int  # T

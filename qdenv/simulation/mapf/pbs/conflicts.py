@@ -144,8 +144,8 @@ def note_conflicts(work: Workspace, agent: int, others: int) -> bool:
 def resolve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int, first: int) -> bool:
     """Plan those who wait again, the highest first, until no agent conflicts with any above it.
 
-    The conflicts of the plan, from number `first` on, are those of the new plan then. Returns False
-    if there is none; no agent waits any more either way.
+    On success the conflicts from number `first` on are those of the new plan. Returns False if
+    there is none; either way no agent waits any more.
     """
     plan, order, counts = work.plan, work.order, work.numbers
     budget, consistent = _REPLANS_PER_AGENT * work.num_near.size, True
@@ -179,7 +179,7 @@ def resolve(work: Workspace, fields: DistanceFields, grid: GridMap, seed: int, f
 
 @kernel
 def _take_highest(work: Workspace) -> int:
-    """Take an agent that has none above it there off the queue, after a walk up from it."""
+    """Dequeue an agent with none above it in the queue, after a walk up from it."""
     order, waiting = work.order, work.waiting
     place, index = 0, 0
     walk(order, waiting[0], UP)

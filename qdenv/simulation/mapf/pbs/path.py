@@ -7,9 +7,9 @@ latest comes first. Beyond the window distances are exact (Li et al. 2021, secti
 https://arxiv.org/abs/2005.07371).
 
 Where moves have costs, delays are sums of them, and states wait in a heap, in the same order: costs
-of one plan the same paths. A way to a state may then be cheaper than the one found first, so the
+of 1 give the same paths. A way to a state may then be cheaper than the one found first, so the
 state is opened once more. Without costs that happens only where both known goals are one cell: the
-first way found stays, which costs of one may better by a step or two.
+first way found stays, which costs of 1 may shorten by a step or two.
 
 A path ends with the window, or where the last known goal is served: there the agent vanishes, as
 in the published planner, but never within the timesteps that are driven.

@@ -38,7 +38,7 @@ from qdenv.simulation.mapf.negotiated.settings import COST_UNIT
 
 PLANE = 12  # bits of a plane: a window of at most ten steps, and five planes below the sign
 WALL = -1 << 63  # the sign: a wall
-# Where in a word those stand who leave against each move; waiting has none but itself.
+# First bit of the plane of agents that leave against each move; for waiting its own.
 AGAINST = PLANE * np.array([WAIT, LEFT, RIGHT, UP, DOWN])
 
 
