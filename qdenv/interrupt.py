@@ -26,7 +26,7 @@ reserved: set[str] = set()  # names of results to come, which are deleted while 
 _again: list[str] = [""]  # the command of this program, in backticks; "" in a notebook
 _way: list[str] = [""]  # the command that goes on
 _unsaved: list[Callable[[], None]] = []  # saves what is done, before the end
-undisturbed = threading.Lock()  # held by whoever changes what would be saved
+undisturbed = threading.Lock()  # held while what would be saved changes
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -53,7 +53,7 @@ def watch(program: str = "qdenv") -> None:
             with contextlib.suppress(OSError):
                 # A name of a file that is no UTF-8 is written as it came.
                 os.write(2, f"\n{last_words()}\n".encode(errors="surrogateescape"))
-            # Whoever prints at this moment holds a lock: wait for it a little, not for ever.
+            # A thread that is printing holds a lock: wait for it a little, not for ever.
             flushing = threading.Thread(target=sys.stdout.flush, daemon=True)
             flushing.start()
             flushing.join(_FLUSH_SECONDS)

@@ -77,7 +77,7 @@ class Registry:
         for name in self.names():
             try:
                 known = self.entry(name).config
-            except InputError:  # somebody else's broken plug-in is no reason to fail here
+            except InputError:  # a broken plug-in is no reason to fail here
                 continue
             if type(config) is known:
                 return name

@@ -15,7 +15,7 @@ class EvaluationConfig(Ranged):
 
     # settings of a registered domain; their type chooses it
     domain: Any = field(default_factory=lambda: DOMAINS.config("warehouse-even"))
-    # settings of a registered generator, likewise
+    # settings of a registered generator; their type chooses it
     generator: Any = field(default_factory=lambda: GENERATORS.config("nca"))
     simulations: PositiveInt = 5  # simulations of each layout, N_e in the paper
     alpha: FiniteFloat = 5.0  # weight of the similarity of drawn and repaired layout

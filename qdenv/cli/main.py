@@ -269,7 +269,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     cache = platformdirs.user_cache_path("qdenv") / "jax"
-    if cache.is_absolute():  # else nobody knows this user's home
+    if cache.is_absolute():  # else this user's home is unknown
         # Read when jax is imported, which is later. By itself jax keeps what took a second.
         chosen = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(cache)
         os.environ["JAX_COMPILATION_CACHE_DIR"] = chosen

@@ -115,7 +115,7 @@ class Simulator(NamedTuple):
     # on a CPU, whether all runs of one layout go side by side. Otherwise they go one after the
     # other, which is best where the work per run is data-dependent.
     layout_at_once: bool = False
-    # tells whether runs are computed by host code, which no other device can share
+    # whether runs are computed by host code, which no other device can share
     on_host: Callable[[], bool] = lambda: False
 
     @property
@@ -171,7 +171,7 @@ class Domain:
     meanings: Mapping[str, Tile] = field(default_factory=dict)
     # sizes (rows, columns) whose numbers do not follow from those of another size
     known: Mapping[tuple[int, int], KnownSize] = field(default_factory=dict)
-    # symbols of tiles that stay wherever a layout of one's own has them, see `fitted`
+    # symbols of tiles that stay wherever a user's layout has them, see `fitted`
     stays: str = ""
     # names what results depend on beside the settings, each with a checksum, like an agent that is
     # read from a file; a run goes on with the same only

@@ -25,7 +25,7 @@ class PlanFacts(Ranged):
     """What is stated about a plan beside its drawing."""
 
     domain: str | None = None  # name of a domain
-    # signs of one's own, each with the tile it stands for: {S = "@", P = "w"}
+    # further symbols, each with the tile it stands for: {S = "@", P = "w"}
     legend: Mapping[str, str] = field(default_factory=dict)
     # layers of a drawing of CAD, each with the tile that its shapes are: {RACKS = "@"}
     layers: Mapping[str, str] = field(default_factory=dict)

@@ -118,7 +118,7 @@ class GrowthOptions(Ranged):
     plan: args.PlanFile = None
     # what must stay of the plan: tiles (w), a rectangle (0:7,33:40), a drawing; + joins several
     keep: args.KeepCells = None
-    frames: PositiveInt | None = None  # also draw the layout after every so many steps (Figure 6)
+    frames: PositiveInt | None = None  # steps between drawings of how it grows (Figure 6)
 
 
 def generate(

@@ -93,7 +93,7 @@ def simulate(
         head = filter(None, [options.describe(str(agents), timesteps, [plan]), note])
         say(*head, *_numbers(facts_with(study)))
 
-    # Whoever audits records every step anyway: maps of it cost nothing more.
+    # An audit records every step anyway: maps then cost nothing more.
     maps = audit or picture is not None
     with studies.about(name), Bar("simulating") as bar:
         study = examine(plan, config, options.seeds, audit, maps, verdict, bar, log_runs)

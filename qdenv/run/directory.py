@@ -99,7 +99,7 @@ class RunDirectory:
         run = cls(Path(path))
         run.demand_new()
         here = Path(__file__)
-        # The second is refused where the package was installed into somebody else's repository.
+        # The second is refused where the package was installed into another repository.
         git = ["git", "-C", str(here.parent), "rev-parse", "HEAD", f"HEAD:./{here.name}"]
         try:
             revision, _ = subprocess.check_output(git, text=True, stderr=subprocess.DEVNULL).split()

@@ -47,7 +47,7 @@ _MAX_DEATHS = 10
 PATIENCE = 30.0
 _SLOW = 5.0
 SETTINGS = {
-    # Workers would sample a hundred times a second what they do, for a dashboard that nobody sees.
+    # Workers would sample their work a hundred times a second, for a dashboard without a reader.
     "distributed.worker.profile.enabled": False,
     # A local cluster gives up for ever on a worker that is not back this long after its death. On
     # a busy machine the nanny takes longer to start another: the search would never end.

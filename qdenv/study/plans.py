@@ -312,7 +312,7 @@ def _guess_domain(symbols: set[str]) -> Domain:
     plugged = [name for name in DOMAINS.names() if name not in DOMAINS.shipped]
     for names, others in product((shipped, plugged), (False, True)):
         for name in names:
-            with contextlib.suppress(InputError):  # somebody else's broken plug-in
+            with contextlib.suppress(InputError):  # of a broken plug-in
                 domain = find_domain(name)
                 known = aliases(domain.tiles, domain.meanings) if others else ()
                 if symbols <= {*domain.tiles, *known}:

@@ -35,7 +35,7 @@ MARKS = {
 }
 _NAMED = "#e8590c"  # cells with a name beside them
 
-_CELL = 0.16  # inches per cell, so that tiles are told apart at a glance
+_CELL = 0.16  # inches per cell, so that tiles differ at a glance
 _SMALLEST, _LARGEST = 4.5, 12.0  # inches of the longer side of one layout
 _FINE = 60  # rows or columns beyond which lines would hide the tiles
 _LABELS = (1, 2, 5, 10, 20, 50, 100, 200)  # rows from one numbered row to the next

@@ -35,7 +35,7 @@ _SHARES = (0.5, 0.75, 1.0, 1.25, 1.5)  # of a single number of agents, to compar
 
 
 class FleetRequest(NamedTuple):
-    """What a report on a fleet shall show."""
+    """What a report on a fleet is to show."""
 
     subjects: list[Subject]  # the layouts, of one domain
     rivals: list[Rival | None]  # what people draw by hand around the stations of each subject
@@ -61,7 +61,7 @@ def make_request(
     seeds: tuple[int, ...],
     per_hour: float | None = None,
 ) -> FleetRequest:
-    """Check what a report shall show, before anything is simulated.
+    """Check what a report is to show, before anything is simulated.
 
     The subjects are of one domain. `agents` is one number, around which others are chosen, or
     several, in place of those, or none for the usual number; `timesteps` is None for the usual

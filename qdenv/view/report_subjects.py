@@ -39,7 +39,7 @@ def distinct(subjects: Sequence[Subject]) -> list[Subject]:
     kinds = list(dict.fromkeys(one.plan.domain.name for one in subjects))
     if len(kinds) > 1:
         raise InputError(f"these are of {' and '.join(kinds)}: report on one domain at a time")
-    # Two files of one name in different folders are told apart by their paths.
+    # Two files of one name in different folders are named by their paths.
     counts = Counter(one.name for one in subjects)
     named = [one if counts[one.name] == 1 else one._replace(name=one.source) for one in subjects]
     if len({one.name for one in named}) < len(named):

@@ -147,7 +147,7 @@ def one_step(
         push = good & is_pushed(other, agent, other_next)
         follower = jnp.where(good | skip, NOBODY, agent)
         follower = jnp.where(push, other, jnp.where(fail, behind, follower))
-        # What is not settled is written to the entries of nobody.
+        # What is not settled is written to the entries of `NOBODY`.
         settled, cell = good | fail, jnp.where(good, cell, here)
         writer = jnp.where(settled, agent, NOBODY)
         target = jnp.where(settled, cell, NOBODY)

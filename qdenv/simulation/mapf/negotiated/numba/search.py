@@ -208,7 +208,7 @@ def _drive_on(
     goal = agent.cell[leg] if rules.ends_leg(leg, agent.service_time[leg]) else -1
     search, states, top = work.numbers.search, work.numbers.states, work.numbers.top
     spent, has_costs = spent_on(work, t, place, leg, conflicts, -1), len(work.guided) > 0
-    # Waiting always costs more: once the best cost is known, nobody does.
+    # Waiting always costs more: once the best cost is known, it is not tried.
     for move in range(dearest < work.first.size, NUM_MOVES):
         # Masked, as an index is known not to count from the end.
         other = (cell + grid.steps[move]) & CELLS
