@@ -266,7 +266,7 @@ MOST = {
     "lines": 32_679,
     "files": 192,
     "records": 195,
-    "public names": 1_213,
+    "public names": 1_211,
     "class names used twice": 0,
     "functions of two lines": 322,
 }
