@@ -152,6 +152,9 @@ def test_mistakes_of_python_get_one_line_too(path):
         qdenv.check(path, keep="0" * 300)
     with pytest.raises(InputError, match="unknown guidance"):
         qdenv.simulate(path, 2, guidance="0" * 300)
+    for function in (qdenv.simulate, qdenv.sweep):
+        with pytest.raises(InputError, match="width 50: write column"):
+            function(path, 2, plot="a.png", width=50)
     with pytest.raises(InputError, match="tasks are settings by name"):
         qdenv.simulate(path, 2, tasks="pick=3")
     for none in ((), []):

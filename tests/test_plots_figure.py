@@ -162,7 +162,7 @@ def test_the_style_is_the_pictures_own(tmp_path):
 
 def test_widths_are_read_in_words_and_inches():
     assert parse_width("column") == 3.5 and parse_width("page") == 7.2
-    assert parse_width("5.25") == 5.25
+    assert parse_width("5.25") == parse_width(5.25) == 5.25
     for wrong in ("narrow", "0", "-3", "nan", "1e9", ""):
         with pytest.raises(InputError, match=re.escape(f"width {wrong!r}: write column")):
             parse_width(wrong)

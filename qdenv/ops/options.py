@@ -110,8 +110,8 @@ Counts: TypeAlias = Annotated[
 Out: TypeAlias = Annotated[str | Path | None, option("FILE", Path)]
 # A picture to write; ``--plot`` without a name is `AUTO`
 Picture: TypeAlias = Annotated[str | Path | None, option("[FILE]", Path)]
-# Of a picture, in inches; on command lines also column or page of a journal
-Width: TypeAlias = Annotated[PositiveFloat | None, option("{column,page,INCHES}", parse_width)]
+# Of a picture, in inches, or of a column or page of a journal
+Width: TypeAlias = Annotated[float | str | None, option("{column,page,INCHES}", parse_width)]
 # How many there are to be: 1100, or "1000:1200"
 Range: TypeAlias = Annotated[
     int | str, option("N|LOW:HIGH", lambda word: int(word) if word.isdecimal() else word)

@@ -27,7 +27,7 @@ from qdenv.study.groups import CURVES, band_of, group_runs
 from qdenv.study.options import describe_growth
 from qdenv.study.plans import describe_changes, list_changes
 from qdenv.types import InputError, RepairStatus
-from qdenv.view import PAGE
+from qdenv.view import PAGE, parse_width
 
 
 def plot(
@@ -57,18 +57,19 @@ def plot(
     """
     if not runs:
         raise InputError("give at least one folder of a run")
+    inches = None if width is None else parse_width(width)
     runs = list(runs) if isinstance(runs, list | tuple) else [runs]  # in Python one needs no list
     opened = [args.open_run(run) for run in runs]
     if len(opened) == 1:
         own = out in (None, AUTO) and not opened[0].shipped
         folder = None if own else place_folder(out or AUTO, file_name(Path(str(runs[0]))))
-        return plot_one(opened[0], folder, form, width)
+        return plot_one(opened[0], folder, form, inches)
     folder = place_folder(out or AUTO, "plots")
     # Runs that differ by their seeds alone are one curve with an interval.
     groups = group_runs(opened)
     from qdenv.view.runs import plot_runs  # imports matplotlib
 
-    pictures = plot_runs(opened, folder, form, width or PAGE)
+    pictures = plot_runs(opened, folder, form, inches or PAGE)
     for group in groups:
         ends = []
         for name, word in CURVES.items():

@@ -20,7 +20,7 @@ from qdenv.study.options import AGENTS, parse_counts, usual_fleet
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import FADING
 from qdenv.types import InputError
-from qdenv.view import PAGE
+from qdenv.view import PAGE, parse_width
 
 # Numbers of agents unless given, on layouts for which 200 are usual: first, last, step.
 SWEEP, CLIMB = (50, 400, 50), (50, 1000, 50)
@@ -171,7 +171,8 @@ class _Fleets:
         """
         layouts = list(layouts) if type(layouts) in (list, tuple) else [layouts]
         fleets = args.each_planner(study) if several else [args.Fleet(study, args.StudyOptions)]
-        options, stated, self._width = fleets[0], parse_counts(agents), study.get("width") or PAGE
+        options, stated = fleets[0], parse_counts(agents)
+        self._width = parse_width(study.get("width") or PAGE)
         options.config(max(stated, default=1))  # refuses what makes no simulation
         inputs = self.inputs = [*layouts, *options.inputs]
         self._table, self._picture = place_table(study.get("out"), study.get("plot"), name, inputs)

@@ -19,7 +19,7 @@ from qdenv.study.options import fleet_tasks
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import MOST_SHOWN, record_fleet
 from qdenv.types import InputError
-from qdenv.view import SCREEN
+from qdenv.view import SCREEN, parse_width
 
 if TYPE_CHECKING:  # imports the simulator
     from qdenv.study.traffic import Study
@@ -63,7 +63,8 @@ def simulate(
         ``qdenv simulate plan.txt --robots 60 --plot``
     """
     if width and not plot:
-        raise InputError(f"--width {width:g} is the picture's: add --plot")
+        raise InputError(f"--width {width} is the picture's: add --plot")
+    inches = parse_width(width or SCREEN)
     options = args.Fleet(fleet)
     plan, name = options.read_plan(layout), args.name_of(layout)
     inputs = [layout, *options.inputs]
@@ -112,7 +113,7 @@ def simulate(
         from qdenv.view.traffic import draw_traffic, make_scene
 
         title = f"{format_name(plan.name)}, {agents} agents{judgement}"
-        picture.draw(draw_traffic(make_scene(plan, study, options.stop), title, width or SCREEN))
+        picture.draw(draw_traffic(make_scene(plan, study, options.stop), title, inches))
     return Result(facts | {"settings": options.settings(timesteps, [plan])})
 
 

@@ -162,6 +162,16 @@ def judge(here: Point, probe: Callable[[int], Point], most: int, idle: float = 0
         points.append(probe(agents))
         return points[-1]
 
+    def gain(other: Point) -> float:
+        if not here.throughput:
+            return float(other.throughput > 0)
+        return other.throughput / here.throughput - 1
+
+    def compared(other: Point) -> str:
+        share = round(gain(other), 2)
+        amount = f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if share else "as much"
+        return f"{other.agents} agents would move {amount}"
+
     if here.congested >= _JAMMED * here.runs:
         stuck = "more than half of the agents stood still at once"
         return _CONGESTED, f"in {here.congested} of {here.runs} runs {stuck}", points
@@ -173,34 +183,21 @@ def judge(here: Point, probe: Callable[[int], Point], most: int, idle: float = 0
         return _FLOWS, f"agents have no order for {idle:.0%} of their time", points
     if here.agents > 1:
         fewer = at(floor(_FEWER * here.agents))
-        if _gain(here, fewer) > _GAIN:
-            return _PAST, _compared(here, fewer), points
+        if gain(fewer) > _GAIN:
+            return _PAST, compared(fewer), points
         if value_of_an_agent(fewer[:2], here[:2]) < WORTH:
-            reason = f"the last {here.agents - fewer.agents} agents add {-_gain(here, fewer):.0%}"
+            reason = f"the last {here.agents - fewer.agents} agents add {-gain(fewer):.0%}"
             # Beyond the peak throughput may lie flat: it is sought where agents are far fewer.
             for share in _FAR_FEWER:
                 fewer = at(max(1, floor(share * here.agents)))
-                if _gain(here, fewer) > _GAIN:
-                    return _PAST, _compared(here, fewer), points
+                if gain(fewer) > _GAIN:
+                    return _PAST, compared(fewer), points
             return _NEAR, reason, points
     if here.agents < most:
         more = at(min(most, ceil(_MORE * here.agents)))
         word = _NEAR if value_of_an_agent(here[:2], more[:2]) < WORTH else _FLOWS
-        return word, _compared(here, more), points
+        return word, compared(more), points
     return _FLOWS, "every free cell holds an agent", points
-
-
-def _gain(here: Point, other: Point) -> float:
-    """Return how much more `other` moves than `here`, as a share of the latter."""
-    if not here.throughput:
-        return float(other.throughput > 0)
-    return other.throughput / here.throughput - 1
-
-
-def _compared(here: Point, other: Point) -> str:
-    share = round(_gain(here, other), 2)
-    amount = f"{abs(share):.0%} {'more' if share > 0 else 'less'}" if share else "as much"
-    return f"{other.agents} agents would move {amount}"
 
 
 def facts_of(study: Study, layout: np.ndarray) -> dict[str, Any]:

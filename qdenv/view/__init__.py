@@ -7,14 +7,14 @@ SCREEN = 10.0  # inches of several floor plans side by side, unless a width is g
 _NARROWEST, _WIDEST = 2.0, 40.0  # inches
 
 
-def parse_width(text: str) -> float:
+def parse_width(text: str | float) -> float:
     """Read a picture's width in inches: "column", "page" or a number of inches.
 
     Raises InputError if it is none of the three, or nothing could be read at that width.
     """
     try:
-        inches = {"column": COLUMN, "page": PAGE}.get(text) or float(text)
-    except ValueError:
+        inches = {"column": COLUMN, "page": PAGE}.get(str(text)) or float(text)
+    except (TypeError, ValueError):
         inches = 0.0
     if not _NARROWEST <= inches <= _WIDEST:
         sizes = f"page ({PAGE}), or a number of inches from {_NARROWEST:g} to {_WIDEST:g}"
