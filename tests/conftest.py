@@ -159,3 +159,12 @@ def opened() -> Iterator[Callable[..., AbstractContextManager]]:
 
     with start_browser() as browser:
         yield open_one
+
+
+def refusal(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Run a command that must fail, and return its one line."""
+    capsys.readouterr()
+    assert qdenv(arguments) == 2, arguments
+    said = capsys.readouterr().err
+    assert said.startswith("qdenv: ") and said.count("\n") == 1
+    return said

@@ -3,6 +3,7 @@
 from collections import deque
 
 import numpy as np
+from scipy.special import expit
 
 STEP = {0: (0, 1), 1: (1, 0), 2: (0, -1), 3: (-1, 0)}  # (row, column) of right, down, left, up
 CODE = {"empty": (1, 0, 0), "wall": (2, 5, 0), "goal": (8, 1, 0)}
@@ -47,11 +48,6 @@ def look(layout: np.ndarray, goal: int, position: int, heading: int) -> np.ndarr
     return picture
 
 
-def sigmoid(x: np.ndarray) -> np.ndarray:
-    """Squash into (0, 1)."""
-    return 1 / (1 + np.exp(-x))
-
-
 def network(w: dict, picture: np.ndarray, compass: np.ndarray, h: np.ndarray, c: np.ndarray):
     """Step the published network in float64 -> logits, h, c; weights under PyTorch's names."""
     signal = (picture / 10).transpose(2, 0, 1)
@@ -65,8 +61,8 @@ def network(w: dict, picture: np.ndarray, compass: np.ndarray, h: np.ndarray, c:
     gates = w["rnn.rnn.weight_ih_l0"] @ np.concatenate([conv, facing]) + w["rnn.rnn.bias_ih_l0"]
     gates = gates + w["rnn.rnn.weight_hh_l0"] @ h + w["rnn.rnn.bias_hh_l0"]
     i, f, g, o = np.split(gates, 4)
-    c = sigmoid(f) * c + sigmoid(i) * np.tanh(g)
-    h = sigmoid(o) * np.tanh(c)
+    c = expit(f) * c + expit(i) * np.tanh(g)
+    h = expit(o) * np.tanh(c)
     inner = np.tanh(w["actor.0.0.weight"] @ h + w["actor.0.0.bias"])
     return w["actor.1.linear.weight"] @ inner + w["actor.1.linear.bias"], h, c
 

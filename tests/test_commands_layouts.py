@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import read_layout
+from conftest import read_layout, refusal
 from matplotlib.image import imread
 
 import qdenv
@@ -38,15 +38,6 @@ def folder(folder):
     for name, rows in (("plan", PLAN), ("doors", DOORS), ("walls", WALLS)):
         (folder / f"{name}.txt").write_text("\n".join(rows) + "\n")
     return folder
-
-
-def refusal(arguments: list[str], capsys) -> str:
-    """Run a command that must fail, and give the one line it says."""
-    capsys.readouterr()
-    assert run(arguments) == 2, arguments
-    said = capsys.readouterr().err
-    assert said.startswith("qdenv: ") and said.count("\n") == 1
-    return said
 
 
 def rows_of(path) -> list[str]:

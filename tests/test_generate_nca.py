@@ -1,12 +1,11 @@
 """The automaton against a plain-numpy oracle, its flat parameters, canvases and frames."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from scipy.special import expit
 
 from qdenv.domains.base import find_domain
 from qdenv.generators import Canvas, NcaConfig, choose_tiles
@@ -132,10 +131,7 @@ def test_one_cell_grown_by_hand(wrap):
     start = np.zeros((1, 1, 2), np.float32)
     grown = wrap(lambda one: grow(one, start, 2))(flat)
 
-    def sigmoid(x: float) -> float:
-        return 1 / (1 + math.exp(-x))
-
-    expected = [sigmoid(sigmoid(1)), sigmoid(sigmoid(0) + 1)]
+    expected = expit([expit(1), expit(0) + 1])
     np.testing.assert_allclose(grown, np.reshape(expected, (1, 1, 2)), rtol=1e-6)
 
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 from search_harness import QUICK
 
 from qdenv.search.archive import GridArchive
@@ -31,12 +32,8 @@ def axes(*cells):
 
 
 def fits_evenly(seen):
-    """Ask whether counts may come from even odds: chi-square, wrong once in 10,000."""
-    seen = np.asarray(seen, float)
-    freedom = seen.size - 1
-    z = 3.72  # Wilson and Hilferty 1931: the chi-square quantile from the normal one
-    bound = freedom * (1 - 2 / (9 * freedom) + z * np.sqrt(2 / (9 * freedom))) ** 3
-    return np.square(seen - seen.mean()).sum() / seen.mean() < bound
+    """Return whether counts may come from even odds: chi-square, wrong once in 10,000."""
+    return stats.chisquare(np.asarray(seen, float)).pvalue > 1e-4
 
 
 # Cells, blocks, cells of each block: the warehouse's, the manufacturing's and the maze's.

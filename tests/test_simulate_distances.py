@@ -3,8 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import shortest_path
+from mapf_oracle import numpy_distances
 
 from qdenv.simulation.mapf.distances import goal_distances
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance, empty_fields, make_room
@@ -29,18 +28,9 @@ def random_grid(rng: np.random.Generator, shape: tuple[int, int]) -> GridMap:
 
 
 def plain_distances(grid: GridMap) -> np.ndarray:
-    """Measure the ways from all goals to all cells by scipy (int64 [goals, cells])."""
-    cells = np.arange(grid.free.size)
-    pairs = [
-        (cell, cell + step)
-        for step in (1, grid.width)
-        for cell in cells[: -grid.width]
-        if grid.free[cell] and grid.free[cell + step]
-    ]
-    start, end = np.array(pairs).T
-    graph = csr_array((np.ones(len(pairs)), (start, end)), (cells.size, cells.size))
-    far = shortest_path(graph, directed=False, unweighted=True, indices=grid.goals)
-    return np.where(np.isinf(far), UNREACHABLE, far).astype(int)
+    """Measure the ways from all goals to all cells one by one (int64 [goals, cells])."""
+    free = grid.free.reshape(-1, grid.width)
+    return np.stack([numpy_distances(free, goal) for goal in grid.goals])
 
 
 def ask(

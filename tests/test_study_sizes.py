@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from conftest import read_layout
+from conftest import read_layout, refusal
 
 import qdenv
 from qdenv import grid
@@ -292,15 +292,6 @@ def test_commands_write_layouts_pictures_and_a_table(run, tmp_path, capsys):
     assert cli.run(["layout", "human", *design]) == 0
     layout = json.loads(target.read_text())["layout"]
     assert layout == grid.draw(MANUFACTURING.resized(13, 14).human(), MANUFACTURING.tiles)
-
-
-def refusal(arguments: list[str], capsys) -> str:
-    """Run a command that must fail, and give the one line it says."""
-    assert cli.run(arguments) == 2
-    said = capsys.readouterr().err.strip()
-    assert said.startswith("qdenv: ")
-    assert "\n" not in said
-    return said
 
 
 @pytest.mark.parametrize(
