@@ -63,7 +63,7 @@ class Registry:
             reference = self._references[name]
             entry = self._import(name, reference) if isinstance(reference, str) else reference
             if not isinstance(entry, Entry):
-                wrong = f"{reference} is no qdenv.Entry(settings, make)"
+                wrong = f"{reference} is not a qdenv.Entry(settings, make)"
                 raise InputError(f"{self._what} {name!r}: {wrong}")
             self._entries[name] = entry
         return self._entries[name]

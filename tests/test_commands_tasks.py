@@ -135,7 +135,7 @@ MISTAKES = {
     ("--shares", "i=1e39,o=1"): "shares must be at most 1000000.0, not 1e+39",
     ("--shares", "i=1e-9"): "shares must be at least 1e-06, not 1e-09",
     ("--demand", "0:7,0:10=0"): "the demand is 0 everywhere: no robot",
-    ("--demand", "0:1,0:1=nan"): "'nan' is no weight",
+    ("--demand", "0:1,0:1=nan"): "'nan' is not a weight",
     ("--demand", "none.csv"): "none.csv: cannot be read",
 }
 

@@ -208,7 +208,7 @@ def test_problems_and_scenarios_come_back(tmp_path):
 
 BAD = {
     "a.scen": [("", "first line is its version"), ("version 1\n0\tm.map\t1", "a line is bucket")],
-    "a.grid": [("", "not a map of RHCR"), ("Grid size (x, y)\n9,9\nid\n0", "a line is no cell")],
+    "a.grid": [("", "not a map of RHCR"), ("Grid size (x, y)\n9,9\nid\n0", "a line is not a cell")],
     "a.map": [
         ("2,2\n0\n0\n9\n..\n", "the head says 2 x 2"),
         ("1001,1\n0\n0\n9\n.", "not supported"),

@@ -56,16 +56,16 @@ def test_order_lines_count_at_endpoints_and_shelves_share_theirs(tmp_path):
 
 
 BAD = {
-    "0:2,0:5": "is no demand: write zones as",
+    "0:2,0:5": "is not a demand: write zones as",
     "0:2,0:9=3": "up to 4 and columns up to 5",
-    "0:2,0:5=-3": "zone '0:2,0:5=-3': '-3' is no weight: give a number like 1200",
-    "0:2,0:5=nan": "'nan' is no weight",
+    "0:2,0:5=-3": "zone '0:2,0:5=-3': '-3' is not a weight: give a number like 1200",
+    "0:2,0:5=nan": "'nan' is not a weight",
     "0:2=1": "write zones as ROWS,COLUMNS=WEIGHT",
     "nothing.csv": "nothing.csv",
     "1,2\n3,4": "2 x 2 numbers, the plan has 4 x 5",
     "1,2,3,4,5\n1,2\n1,2,3,4,5\n1,2,3,4,5": "4 x 2 or 5 numbers",
-    "1,2,x,4,5": "line 1, column 2: 'x' is no weight",
-    '"1,200",2,3,4,5': "line 1, column 0: '1,200' is no weight: give a number like 1200 or 1.2",
+    "1,2,x,4,5": "line 1, column 2: 'x' is not a weight",
+    '"1,200",2,3,4,5': "line 1, column 0: '1,200' is not a weight: give a number like 1200 or 1.2",
     "": "empty",
     "row,col\n3,3": "row 3, column 3 is neither an endpoint of the plan nor beside one",
     "row,col\n0,0\n1.5,0": "line 3: row and column must be whole numbers",
@@ -93,7 +93,7 @@ def test_what_is_no_demand_is_refused_in_a_line(source, tmp_path):
     ("content", "message"),
     [
         ('{"weights": [1], "tasks": [[0]]}', "goals on a map of 0 x 0, the plan has 4 x 5"),
-        ('{"layout": [".....", ".....", ".....", "..."], "tasks": [[-5]]}', "a goal is no cell"),
+        ('{"layout": [".....", ".....", ".....", "..."], "tasks": [[-5]]}', "a goal is not a cell"),
         ('{"layout": [".....", ".....", ".....", "....."], "tasks": [[20]]}', "the map, 0 to 19"),
     ],
 )

@@ -60,7 +60,7 @@ def test_unknown_names_are_refused_with_what_there_is():
     [
         ("no_such_module:COFFEE", "cannot be loaded"),
         (f"{__name__}:NOTHING", "cannot be loaded"),
-        (f"{__name__}:HERE", "is no qdenv.Entry"),
+        (f"{__name__}:HERE", "is not a qdenv.Entry"),
     ],
 )
 def test_a_broken_plugin_is_named_and_disturbs_nobody_else(reference, said):

@@ -67,7 +67,7 @@ def test_a_drawing_decides_about_every_cell_and_can_free_a_station(plan):
             "small.txt: the drawing of cells to keep has 1 x 11 cells, the layout 4 x 11",
         ),
         ("other.txt", "'@' is to stay, but the plan holds 'w' there"),
-        ("odd.txt", "row 0, column 0: 'q' is no tile of hall"),
+        ("odd.txt", "row 0, column 0: 'q' is not a tile of hall"),
         ("0:4,0:11+@", "no layout obeys the rules with these cells kept"),
     ],
 )

@@ -87,7 +87,7 @@ def split_name(words: list[str]) -> tuple[str, list[str]]:
 
 
 def _run_general(name: str) -> int:
-    """Print the version or the list of commands, or refuse what is no command."""
+    """Print the version or the list of commands, or refuse what is not a command."""
     if name == "--version":
         print(qdenv.__version__)
     elif name not in ("", "-h", "--help"):
@@ -129,7 +129,7 @@ def _describe(error: OSError | MemoryError | RuntimeError) -> str:
 
 
 def _unknown(name: str) -> str:
-    """Return what is wrong with a name that is no command."""
+    """Return what is wrong with a name that is not a command."""
     if name.startswith("-"):
         return f"give a command before {name}: `qdenv --help` lists them"
     if longer := [known for known in COMMANDS if known.startswith(f"{name} ")]:
@@ -295,7 +295,7 @@ def _files_beside(inputs: Iterable[str]) -> Iterator[Path]:
             yield from map(path.joinpath, RUN_FILES)
             continue
         yield from map(path.with_suffix, [".toml"] + [".map"] * (path.suffix.lower() == ".scen"))
-        with contextlib.suppress(InputError):  # it is no layout
+        with contextlib.suppress(InputError):  # it is not a layout
             facts = read_drawing(path).details.get("facts", {})
             named = f"{facts.get('keep', '')}+{facts.get('demand', '')}".split("+")
             yield from map(path.parent.joinpath, named)

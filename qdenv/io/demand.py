@@ -56,7 +56,7 @@ def read_demand(source: str | Path, endpoints: np.ndarray) -> np.ndarray:
         return _goals(text, endpoints.shape)
     orders, _, places = (text, "", "") if os.path.isfile(text) else text.partition(",")
     if not orders.lower().endswith(".csv"):
-        raise InputError(f"{text!r} is no demand: {_FORM}")
+        raise InputError(f"{text!r} is not a demand: {_FORM}")
     table = _cells(Path(orders))
     lines = [line for line in table if any(line[1])]
     with about(orders):
@@ -95,7 +95,7 @@ def _goals(path: str, shape: tuple[int, ...]) -> np.ndarray:
         sizes = "{} x {}, the plan has {} x {}".format(*theirs, *shape)
         raise InputError(f"{path}: goals on a map of {sizes}")
     if not 0 <= goals.min() <= goals.max() < shape[0] * shape[1]:
-        raise damaged(path, f"a goal is no cell of the map, 0 to {shape[0] * shape[1] - 1}")
+        raise damaged(path, f"a goal is not a cell of the map, 0 to {shape[0] * shape[1] - 1}")
     return np.bincount(goals, minlength=shape[0] * shape[1]).reshape(shape).astype(float)
 
 
@@ -165,7 +165,7 @@ def _number(text: str, where: str) -> float:
         number = np.nan
     # A comma before three digits may part thousands, or be a decimal one.
     if not 0 <= number < np.inf or re.fullmatch(r"[1-9]\d{0,2}(,\d{3})+", text):
-        raise InputError(f"{where}: {text!r} is no weight: give a number like 1200 or 1.2")
+        raise InputError(f"{where}: {text!r} is not a weight: give a number like 1200 or 1.2")
     return number
 
 

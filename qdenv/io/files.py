@@ -249,7 +249,7 @@ def read_bytes(path: Path | str, max_bytes: int = _MAX_TEXT) -> bytes:
 def read_text(path: Path | str, max_bytes: int = _MAX_TEXT, what: str = "text") -> str:
     """Read a text file, or what a pipe gives, as UTF-8 or the UTF-16 of Windows' shell.
 
-    Raises InputError if it cannot be read, is bigger, or is no text: "not a `what` file".
+    Raises InputError if it cannot be read, is bigger, or is not text: "not a `what` file".
     """
     content = read_bytes(path, max_bytes)
     try:

@@ -84,7 +84,7 @@ def holds(ending: str, part: str) -> bool:
 
 
 def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
-    """Find the reader of a file; raise InputError if `form` is no format that is read.
+    """Find the reader of a file; raise InputError if `form` is not a format that is read.
 
     Without `form` the file's ending decides; JSON is the format of any other one.
     """

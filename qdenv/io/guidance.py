@@ -74,7 +74,7 @@ def read_table(path: Path, lines: Sequence[str]) -> tuple[list[str], list[float]
         # A line too short or too long leaves no array.
         table = np.array(values, float).reshape(len(cells), NUM_MOVES)
     except (ValueError, csv.Error) as error:
-        line = f"line {1 + reader.line_num} is no cell with its costs: fill the columns of the head"
+        line = f"line {1 + reader.line_num} is not a cell with costs: fill the columns of the head"
         raise damaged(path, line) from error
     rows, cols = (1 + max(axis) for axis in zip(*cells, strict=True)) if cells else (0, 0)
     complete = rows * cols == len(cells) and sorted(cells) == list(np.ndindex(rows, cols))

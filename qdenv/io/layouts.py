@@ -90,7 +90,7 @@ def read_lines(path: Path, what: str) -> list[str]:
     """Read the lines of a text file, without the blank ones around them."""
     text = read_text(path, _MAX_BYTES, what)
     if text.count("\n") + text.count("\r") > _MAX_LINES and not text.startswith(_TABLES):
-        raise damaged(path, f"more than {_MAX_LINES:,} lines, this is no layout file")
+        raise damaged(path, f"more than {_MAX_LINES:,} lines, this is not a layout file")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     width = max(map(len, lines))
     # A line of blanks as wide as the widest line is a row: mazes draw empty cells like that.

@@ -257,7 +257,7 @@ def _read_grid(path: Path, lines: list[str]) -> tuple[list[str], list[float]]:
     cells = [line.split(",") for line in lines[1:]]
     unknown = {cell[1] for cell in cells if len(cell) > 1} - _TYPES.keys()
     if unknown or any(len(cell) != 9 + station for cell in cells):
-        what = f"unknown type {min(unknown)!r}" if unknown else "a line is no cell with its costs"
+        what = f"unknown type {min(unknown)!r}" if unknown else "a line is not a cell with costs"
         raise damaged(path, f"{what}: types are {', '.join(_TYPES)}")
     table = [[cell[0], _TYPES[cell[1]], *cell[2 + station :]] for cell in cells]
     # An obstacle is not waited on, whatever is written there.

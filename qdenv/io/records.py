@@ -61,7 +61,7 @@ def parse_json(text: str, source: Path | str, most: int = _MAX_VALUES) -> Any:
 
     def parse_constant(name: str) -> float:
         if name == "NaN":
-            raise ValueError("NaN is no number")
+            raise ValueError("NaN is not allowed")
         return float(name)
 
     def parse_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -214,7 +214,7 @@ def _plain_kinds(kind: Any) -> tuple[type, ...]:
 
 
 def _demand(value: Any, form: type[dict] | type[list], place: str) -> Any:
-    if not isinstance(value, dict if form is dict else (list, tuple)):  # a string is no list
+    if not isinstance(value, dict if form is dict else (list, tuple)):  # a string is not a list
         name = "an object" if form is dict else "a list"
         raise _wrong(place, f"must be {name}, not {_shown(value)}")
     return value
@@ -283,7 +283,7 @@ def parse_cell(text: str, kind: type, infinite: bool = False) -> Any:
         names = _TYPE_NAMES | {bool: "True or False"}
         raise ValueError(f"{text[:_MAX_DIGITS]!r} is not {names[kind]}") from None
     if kind is float and not (math.isfinite(value) or (infinite and not math.isnan(value))):
-        raise ValueError(f"{text} is no finite number")
+        raise ValueError(f"{text} is not a finite number")
     if kind is int and abs(value) >= _INT_LIMIT:
         raise ValueError(f"{text} is too large")
     return value

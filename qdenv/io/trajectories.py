@@ -163,7 +163,7 @@ def _read_lines(path: str | Path) -> Trajectories:
         whole = re.compile(r"-?\d{1,18}").fullmatch
         wrong = (one for one in lines if len(one) != len(names) or not all(map(whole, one)))
         shown = " ".join(next(wrong, lines[0]))[:60]
-        raise damaged(path, f"{shown!r} is no line of {', '.join(names)} in integers") from None
+        raise damaged(path, f"{shown!r} is not a line of {', '.join(names)} in integers") from None
     times, robots = columns["timestep"] - columns["timestep"].min(), columns["robot"]
     known, agent = np.unique(robots, return_inverse=True)
     shape = (int(times.max()) + 1, len(known))

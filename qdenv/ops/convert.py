@@ -47,7 +47,7 @@ def convert(
         format, and what was left out in reading and in writing.
 
     Raises:
-        InputError: it is no layout, the format cannot hold it, or the place cannot be written to.
+        InputError: it is not a layout, or the format or the place cannot hold it.
 
     Examples:
         ``qdenv convert plan.txt hall.lif``

@@ -49,7 +49,7 @@ def render(layout: args.Source, out: args.Out = None, domain: args.DomainName = 
         the layout, which a notebook shows; no picture is written unless `out` is given.
 
     Raises:
-        InputError: it is no layout, or the place cannot be written to.
+        InputError: it is not a layout, or the place cannot be written to.
 
     Examples:
         ``qdenv render plan.txt --out plan.svg``
@@ -98,7 +98,7 @@ def check(
         its kind, message and cells.
 
     Raises:
-        InputError: it is no layout, or `keep` names nothing in it.
+        InputError: it is not a layout, or `keep` names nothing in it.
 
     Examples:
         ``qdenv check plan.txt --keep w --plot``

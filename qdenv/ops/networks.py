@@ -119,7 +119,7 @@ def evaluate_agent(
         ``shortest`` in moves, and what random mazes gave.
 
     Raises:
-        InputError: it is no maze, or a number is impossible.
+        InputError: it is not a maze, or a number is impossible.
 
     Examples:
         ``qdenv evaluate-agent maze.txt``
@@ -222,7 +222,7 @@ def convert_agent(checkpoint: Positional[Path], out: args.Out = None) -> Path:
         the agent's file.
 
     Raises:
-        InputError: it is no such checkpoint.
+        InputError: it is not such a checkpoint.
 
     Examples:
         ``qdenv convert-agent model_20000.tar``

@@ -327,7 +327,7 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
     """Read a layout: the path of a file, a `Plan`, a `Layout`, or an int array [H, W] of tiles.
 
     `domain` says whose it is, which arrays alone need. Returns the plan: tiles, domain, and what
-    its file states. Raises InputError if it is no layout, or one of another domain.
+    its file states. Raises InputError if it is not a layout, or one of another domain.
     """
     if isinstance(layout, str | Path):
         return read_file(layout, domain)

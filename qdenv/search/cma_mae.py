@@ -49,7 +49,7 @@ SELECTIONS: dict[str, Callable[[jax.Array, jax.Array, int], jax.Array]] = {
 }
 
 # A batch as emitters learn from it: (solutions float [E * b, P], `Score` [E * b], how the learning
-# archive received them). Rows whose score is no success have failed.
+# archive received them). Rows whose score is not a success have failed.
 _Scored = tuple[jax.Array, Score, Insertion]
 
 

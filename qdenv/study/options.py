@@ -146,7 +146,7 @@ def _read_cells(rows: Sequence[str], domain: Domain, symbols: np.ndarray | None)
     check_shape(rows, domain.shape)
     drawn = np.array([list(row) for row in rows], object)
     for row, column in np.argwhere(~np.isin(drawn, list(FREE + SAME + domain.tiles))):
-        none = f"{drawn[row, column]!r} is no tile of {domain.name}"
+        none = f"{drawn[row, column]!r} is not a tile of {domain.name}"
         others = f"{FREE!r} where anything may be, {SAME!r} for what the plan holds"
         cure = f"draw {others}, or one of {alphabet(domain.tiles, domain.meanings)}"
         raise InputError(f"row {row}, column {column}: {none}: {cure}")

@@ -143,14 +143,14 @@ def draw_weights(key: jax.Array, units: int, actions: int) -> Weights:
 def check_weights(weights: Weights, source: str) -> Weights:
     """Return the weights as float32; InputError if they are no agent or not finite (host side)."""
     if weights.gates_back.ndim != 2 or weights.logits.ndim != 2:
-        raise InputError(f"{source} is no agent: gates_back and logits must be matrices")
+        raise InputError(f"{source} is not an agent: gates_back and logits must be matrices")
     sizes = shapes(weights.gates_back.shape[0], weights.logits.shape[1])
     if weights.logits.shape[1] < 3:
-        raise InputError(f"{source} is no agent: it needs at least 3 actions")
+        raise InputError(f"{source} is not an agent: it needs at least 3 actions")
     for array, (name, shape) in zip(weights, sizes.items(), strict=True):
         if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
             other = f"{name} is {array.dtype} {array.shape}, not float {shape}"
-            raise InputError(f"{source} is no agent: {other}")
+            raise InputError(f"{source} is not an agent: {other}")
         if not np.isfinite(array).all():
             raise InputError(f"{source} is damaged: {name} holds numbers that are not finite")
     return Weights(*(np.asarray(array, np.float32) for array in weights))

@@ -52,7 +52,7 @@ class JointPlan(NamedTuple):
     """The joint plan in hand, and the changes that led to it in their order; R at most."""
 
     # int32 [w + 1, A], where they are; after a path's end a number of the agent's own below zero,
-    # which is no cell
+    # which is not a cell
     cell: np.ndarray
     path: np.ndarray  # `_PATH` [A]
     # int32 [A], the timesteps of conflicts of one agent with each other one, a bit each
