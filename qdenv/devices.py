@@ -10,9 +10,8 @@ from typing import Any, Literal
 from qdenv.lazy import jax
 from qdenv.types import InputError
 
-# Where a planner runs. "auto" is the host, beside accelerators, too: an H200 took 96 ms a run with
-# 250 runs side by side (33 x 36, 200 agents, T = 1000), one core of the same machine 160 ms: two
-# cores are faster.
+# Where a planner runs; "auto" is the host, beside accelerators, too: an H200 took 96 ms a run (250
+# side by side; 33 x 36, 200 agents, T = 1000), one core of its machine 160 ms: two are faster.
 Backend = Literal["auto", "xla", "host"]
 ACCELERATOR_CHUNK = 10  # layouts simulated by one call on an accelerator
 

@@ -214,6 +214,7 @@ def test_settings_are_replaced_by_name_however_deep_they_lie():
     assert isinstance(factory, ManufacturingConfig) and (factory.rows, factory.cols) == (17, 16)
     for settings, said in (
         ({"agent": 3}, "did you mean agents"),
+        ({"robots": 3}, "did you mean agents"),
         ({"evaluations": 0}, "at least 1"),
         ({"algorithm": "luck"}, "unknown algorithm 'luck'"),
         ({"evaluation__repair__luck": 1}, "RepairConfig has no setting 'luck'"),

@@ -119,7 +119,8 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         paths = [tuple(name.split("__"))] if "__" in name else [p for p in every if p[-1] == name]
         if not paths:
             known = sorted({path[-1] for path in every})
-            near = difflib.get_close_matches(name, known, 3) or known
+            likely = "agents" if name == "robots" else name
+            near = difflib.get_close_matches(likely, known, 3) or known
             raise InputError(f"there is no setting {name!r}: did you mean {', '.join(near)}?")
         if len(paths) > 1:
             records = " or ".join(path[-2] for path in paths)
