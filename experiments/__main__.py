@@ -15,10 +15,10 @@ from importlib import import_module
 
 import tyro
 
+from experiments.archives import RUNS
 from experiments.panels import FIGURES
 from experiments.pieces import RESULTS, Experiment, Folders
 from experiments.program import run_program
-from experiments.runs import SavedRun
 from qdenv.io.files import write_atomically
 from qdenv.ops.output import format_duration
 from qdenv.run.executors import Execution, ExecutorName
@@ -39,7 +39,7 @@ def find(name: str, seeds: int = 1) -> Experiment:
     found: Experiment = (
         FIGURES[name] if name in FIGURES else import_module(f"experiments.{name}").EXPERIMENT
     )
-    runs = [piece for piece in found.pieces if isinstance(piece, SavedRun)]
+    runs = RUNS if found.pieces is RUNS else ()  # others show one search of each kind
     further = [replace(run, seed=seed) for run, seed in product(runs, range(1, seeds))]
     return replace(found, pieces=(*found.pieces, *further))
 
@@ -88,8 +88,8 @@ def draw(name: str, experiment: Experiment, folders: Folders, out: Path) -> None
         raise InputError(f"{name}: nothing is saved to draw from; --make {name} makes it")
     drawn = styled(experiment.draw)(folders)
     print(f"{name}: {experiment.shows}")
-    print("\n".join(drawn.lines))
     if drawn.lines:
+        print("\n".join(drawn.lines))
         path = out / f"{name}.md"
         write_atomically(path, ("\n".join(drawn.lines) + "\n").encode())
         print(path)

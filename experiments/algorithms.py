@@ -9,7 +9,7 @@ half-done ones go on, so this can be stopped and started again, with more seeds,
 
 import time
 from dataclasses import replace
-from itertools import chain, product
+from itertools import chain, cycle, product
 from math import nan
 from pathlib import Path
 
@@ -62,10 +62,7 @@ def write_table(path: Path, found: dict[str, Group], domain: str) -> None:
         entropies = np.mean([entropy_of(run) for run in group.runs], axis=0)
         numbers = [f"{number:.6g}" for number in (*chain(*pairs), *entropies)]
         rows.append((name, len(group.runs), group.evaluations[-1], *numbers))
-        cells = [
-            f"{m:.{digits}f} ± {half:.{digits}f}"
-            for (m, half), digits in zip(pairs, (1, 4, 3), strict=True)
-        ]
+        cells = [f"{m:.{d}f} ± {half:.{d}f}" for (m, half), d in zip(pairs, (1, 4, 3), strict=True)]
         mean, lowest, share = entropies
         cells += [f"{mean:.2f}", f"{lowest:.2f}", f"{share:.1%}"]
         shown.append((name, *cells, str(TABLE_4.get((domain, name), ""))))
@@ -79,7 +76,7 @@ def draw(path: Path, found: dict[str, Group], title: str) -> None:
     figure = new_figure(10, 3.6, dpi=110)
     panels = figure.subplots(1, len(CURVES))
     for axes, (metric, label) in zip(panels, CURVES.items(), strict=True):
-        for (name, group), look in zip(found.items(), LOOKS, strict=False):
+        for (name, group), look in zip(found.items(), cycle(LOOKS), strict=False):
             draw_band(axes, group.evaluations, group.curves[metric], look, name)
         axes.set(title=label, xlabel="true evaluations")
     figure.suptitle(title, fontsize="medium")

@@ -40,8 +40,7 @@ def read_all(folders: Folders) -> dict[str, dict[str, list[Summary]]]:
 def draw_archive(axes: Axes, summary: Summary, title: str, scale: tuple[float, float]) -> AxesImage:
     """Draw an archive on a colour scale that several share."""
     image = draw_heatmap(axes, summary.objectives, summary.measures, *scale)
-    filled = len(summary.elites["cell"])
-    axes.set_title(f"{title}\n{filled:,} elites", fontsize="small")
+    axes.set_title(f"{title}\n{len(summary.elites['cell']):,} elites", fontsize="small")
     return image
 
 

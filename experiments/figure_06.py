@@ -23,7 +23,6 @@ class SavedGrowth(Piece):
     label = "growth of {0.domain}"
     file = "layouts/{0.domain}-growth.json"
     domain: str  # whose best generator
-    every: int = 10  # steps from one frame to the next
 
     def done(self, folders: Folders) -> float:
         """Return 1 if it is saved, and the generator is the one that drew it."""
@@ -39,7 +38,7 @@ class SavedGrowth(Piece):
         """Grow it and keep the frames."""
         run = open_generator(self.domain, "nca")
         grown = grow_elite(run, "best")
-        steps, frames = grow_frames(run, grown, self.every)
+        steps, frames = grow_frames(run, grown, 10)
         drawn = [draw_rows(frame, grown.domain.tiles) for frame in frames]
         facts = {"origin": best_of(self.domain), "steps": steps, "frames": drawn}
         write_json(self.path(folders), facts)

@@ -55,9 +55,7 @@ class Workshop:
         self.config = self.run.config
         for one in self.further:
             if one.config.evaluation != self.config.evaluation or one.measures != self.run.measures:
-                raise InputError(
-                    f"{one}: its objectives mean something else than those of {self.run}"
-                )
+                raise InputError(f"{one}: its objectives mean something else than {self.run}'s")
         trained = make_domain(self.config.evaluation.domain)
         self.fleet = trained.simulator.tasks is not None
         asked = [sizes.parse_size(text) for text in measuring.sizes]
@@ -167,6 +165,5 @@ def make_row(
     planner: str, agents: int, timesteps: int, values: np.ndarray, success: float
 ) -> Driven:
     """Condense the runs of one layout (values: float [runs])."""
-    mean, error, _ = sample_of(values)
-    found = tidy([mean, error, success])  # no error, a NaN, is null in files
+    found = tidy([*sample_of(values)[:2], success])  # no error, a NaN, is null in files
     return Driven(planner, agents, timesteps, len(values), *found)

@@ -158,7 +158,6 @@ def find_costs(name: str, seed: int, simulations: tuple[int, int]) -> None:
             guided = plan._replace(costs=unscaled_costs(costs, free))
             base, start = str(run), start_at(guided)
     facts = {"domain": case.domain, "agents": case.fleet.agents, "simulations": sum(simulations)}
-    FOUND.mkdir(parents=True, exist_ok=True)
     write_layout(
         FOUND / f"{name}-{seed}.json",
         plan.layout,
@@ -186,7 +185,7 @@ def measure(name: str, agents: tuple[int, ...], seeds: int) -> list[Row]:
 
 def main(
     cases: tuple[str, ...] = ("warehouse", "warehouse-150", "empty", "random"),
-    agents: str = "",
+    agents: str | None = None,
     seeds: PositiveInt = 10,
     out: Path = Path("runs/guidance.csv"),
     search: tuple[int, int] = (0, 0),
@@ -206,11 +205,7 @@ def main(
         for name, seed in itertools.product(cases, range(seeds)):
             find_costs(name, seed, search)
         return
-    rows = [
-        row
-        for name in cases
-        for row in measure(name, parse_counts(agents) if agents else (), seeds)
-    ]
+    rows = [row for name in cases for row in measure(name, parse_counts(agents), seeds)]
     head = ("case", "guidance", "agents", "success", "tasks / timestep", "published", "CPU s / run")
     lines = []
     for row in rows:

@@ -104,7 +104,7 @@ def complete(
     for case in cases:
         look_up(DRIVERS, case.planner, "planner")
         with about(case.layout):
-            fleet_tasks(case.tiles, case.domain.simulator.tasks, case.agents)
+            fleet_tasks(case.tiles, case.domain.simulator.tasks, case.fleet.agents)
     files = [*others, *[path] * path.exists()]
     known = {run.key: run for file in files for run in read_runs(file)}
     todo = [(case, seed) for case in cases for seed in seeds if case.key(seed) not in known]

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from qdenv.study.groups import band_of
 from qdenv.view.style import new_figure
 
-PANEL = (3.9, 3.1)  # inches
 Values: TypeAlias = Sequence[float] | np.ndarray
 
 
@@ -39,7 +38,7 @@ LOOKS = {
 
 def new_panels(rows: int, columns: int, crown: Sequence[str]) -> tuple[Figure, np.ndarray]:
     """Make panels with a title above each column (Axes [rows, columns])."""
-    figure = new_figure(PANEL[0] * columns, PANEL[1] * rows + 0.4, dpi=100)
+    figure = new_figure(3.9 * columns, 3.1 * rows + 0.4, dpi=100)  # inches
     panels = figure.subplots(rows, columns, squeeze=False)
     for axes, title in zip(panels[0], crown, strict=True):
         axes.set_title(title)
@@ -78,11 +77,9 @@ def finish(figure: Figure, panels: np.ndarray) -> None:
         handles, labels = axes.get_legend_handles_labels()
         named |= dict(zip(labels, handles, strict=True))
         if not handles:
-            place = dict(ha="center", va="center", transform=axes.transAxes)
-            axes.text(0.5, 0.5, "not made yet", **place)
+            axes.text(0.5, 0.5, "not made yet", ha="center", va="center", transform=axes.transAxes)
             axes.set(xticks=[], yticks=[])
             continue
         axes.set_ylim(0, 1.05 * axes.get_ylim()[1])  # a margin even where all is one point
     if named:
-        handles, labels = list(named.values()), list(named)
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(named))
+        figure.legend([*named.values()], [*named], loc="outside lower center", ncols=len(named))

@@ -17,6 +17,7 @@ from experiments.pieces import table
 from experiments.program import run_program
 from qdenv.domains.base import make_domain
 from qdenv.io.files import write_csv
+from qdenv.ranges import PositiveInt
 from qdenv.repairs.recipe import repair_layout
 from qdenv.repairs.settings import Polish
 from qdenv.run.directory import RunDirectory
@@ -62,8 +63,7 @@ def repair_and_simulate(run: RunDirectory, count: int) -> list[Row]:
     for place in flowed[chosen]:
         for level in LEVELS:
             how = replace(config.repair, polish=level)
-            drawn = columns["unrepaired"][place]
-            made = repair_layout(drawn, rules, run.config.seed, how)
+            made = repair_layout(columns["unrepaired"][place], rules, run.config.seed, how)
             fleets = run_seeds(np.asarray(made.layout), tasks, fleet, seeds).runs
             status = RepairStatus(int(made.status)).name.lower()
             found = domain.name, int(columns["index"][place]), level, status
@@ -76,7 +76,7 @@ def repair_and_simulate(run: RunDirectory, count: int) -> list[Row]:
 
 def main(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional],
-    layouts: int = 67,
+    layouts: PositiveInt = 67,
     out: Path = Path("runs/polish.csv"),
 ) -> None:
     """Repair elites of finished runs as a search does and in full, and simulate both layouts.

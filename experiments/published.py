@@ -16,8 +16,8 @@ class Found(NamedTuple):
     """A row of Table 4, over 5 runs."""
 
     qd_score: float  # mean
-    qd_error: float  # its standard error; NaN where it is not known
-    coverage: float  # mean share of filled cells; NaN where it is not known
+    qd_error: float  # its standard error
+    coverage: float  # mean share of filled cells
 
     def __str__(self) -> str:
         """Write it as tables do."""

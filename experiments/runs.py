@@ -102,6 +102,7 @@ class SavedRun(Piece):
     def make(self, folders: Folders) -> None:
         """Begin or continue the run, then summarise it."""
         summarise(self.whole(folders), self.path(folders))
+        read_summary.cache_clear()  # it holds what was kept before
 
     def whole(self, folders: Folders) -> RunDirectory:
         """Return the finished run with all its weights; see `whole_run`."""
@@ -154,8 +155,7 @@ def whole_run(
     if replace(run.config, evaluations=config.evaluations) != config:
         raise qdenv.InputError(f"{path}: a run with other settings: move it away")
     rows = run.read_metrics(salvage=True)
-    done = rows and rows[-1].evaluations >= config.evaluations
-    if done and (path / "archive.npz").exists():
+    if rows and rows[-1].evaluations >= config.evaluations and (path / ARCHIVE).exists():
         return run
     report(f"{path}: goes on")
     return resume(path, evaluations=config.evaluations, execution=execution)

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from matplotlib.axes import Axes
 
-from experiments.layouts import MAZE_S, MAZE_S_EVAL, S_EVAL, SECONDS, best_of, open_generator
+from experiments.layouts import MAZE_S, MAZE_S_EVAL, SECONDS, best_of, open_generator
 from experiments.pieces import Drawn, Experiment, Folders, Piece, say, table
 from experiments.published import FLEETS
 from qdenv.generators import GENERATORS
@@ -18,8 +18,6 @@ from qdenv.io.records import read_table
 from qdenv.stats import Sample, sample_of
 from qdenv.study.elites import SIZES, finish, grow_elite
 from qdenv.view.style import new_figure
-
-SEEDS = 3  # repairs of each layout
 
 
 class Runtime(NamedTuple):
@@ -44,7 +42,7 @@ class SavedRuntime(Piece):
     file = "runtimes/{0.domain}-{0.shape[0]}x{0.shape[1]}.csv"
     domain: str  # its name
     shape: tuple[int, int]  # rows and columns
-    seeds: int = SEEDS  # how many repairs
+    seeds: int = 3  # how many repairs
 
     def read(self, folders: Folders) -> list[Runtime]:
         """Read what is saved of this generator."""
@@ -124,8 +122,8 @@ def draw(folders: Folders) -> Drawn:
             rows.append((*named, *seconds, len(found), f"{changed:.0f}", ended))
     missing = len(PIECES) - len(every)
     axes.set(xscale="log", yscale="log", xlabel="cells", ylabel="CPU seconds")
-    ticks = [rows * cols for rows, cols in (MAZE_S, *SIZES[::2], S_EVAL)]
-    axes.set_xticks(sorted(set(ticks)), [f"{cells:,}" for cells in sorted(set(ticks))])
+    ticks = [rows * cols for rows, cols in (MAZE_S, *SIZES[::2])]
+    axes.set_xticks(ticks, [f"{cells:,}" for cells in ticks])
     axes.minorticks_off()
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right center", fontsize="small")

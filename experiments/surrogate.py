@@ -22,6 +22,7 @@ import tyro
 import qdenv
 from experiments.program import run_program
 from qdenv.io.files import write_csv
+from qdenv.ranges import PositiveInt
 from qdenv.run.checkpoint import load_newest
 from qdenv.search.base import growing
 from qdenv.study.options import find_surrogate
@@ -70,11 +71,9 @@ def try_once(
         chosen = np.resize(known[:count], len(known))
         learnt = jax.tree.map(lambda leaf, at=chosen: jnp.asarray(leaf[at]), samples)
         fitted, _ = fit(surrogate.init(first), Ring(learnt, jnp.int32(count)), second)
-        parts = []
-        for one in rows:
-            score: Any = predict(fitted, jnp.asarray(samples.drawn[one]))[0]
-            parts += [np.column_stack([score.objective, score.result_objective, score.measures])]
-        predicted = np.concatenate(parts)[: len(held)]
+        scores: Any = [predict(fitted, jnp.asarray(samples.drawn[one]))[0] for one in rows]
+        columns = [(one.objective, one.result_objective, one.measures) for one in scores]
+        predicted = np.concatenate([np.column_stack(one) for one in columns])[: len(held)]
         spent = time.process_time() - begun
         true = np.asarray(samples.numbers[held])
         yield min(count, len(known)), len(held), predicted, true, spent
@@ -84,7 +83,7 @@ def main(
     run: Annotated[Path, tyro.conf.Positional],
     sizes: tuple[Literal["small", "published"], ...] = ("small",),
     counts: tuple[int, ...] = (400, 800, 1600),
-    seeds: int = 3,
+    seeds: PositiveInt = 3,
     out: Path = Path("runs/surrogate.csv"),
 ) -> None:
     """Print and write R^2, RMSE and rank correlation on held-out evaluations.

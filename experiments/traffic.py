@@ -39,7 +39,9 @@ class SavedTraffic(OfLayout):
         if not self.layout.done(folders) or not self.path(folders).exists():
             return []
         wanted = {case.key(seed) for case in self.cases(folders) for seed in range(self.seeds)}
-        return [run for run in read_runs(self.path(folders)) if run.key in wanted]
+        # One of each: of two processes that share a file both may have made it.
+        found = {run.key: run for run in read_runs(self.path(folders)) if run.key in wanted}
+        return list(found.values())
 
     def outcomes(self, folders: Folders) -> list[Outcome]:
         """Condense what is saved, a row per number of agents, few to many."""
@@ -58,8 +60,7 @@ class SavedTraffic(OfLayout):
 
     def make(self, folders: Folders) -> None:
         """Simulate what is missing."""
-        given = self.path(folders), self.cases(folders), range(self.seeds)
-        complete(*given, client=folders.client)
+        complete(self.path(folders), self.cases(folders), range(self.seeds), client=folders.client)
 
 
 def name_layouts(paths: Sequence[Path]) -> dict[str, Path]:

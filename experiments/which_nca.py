@@ -52,7 +52,7 @@ def main(
         for seed in range(seeds):
             path = out / f"{preset}-{''.join(map(str, kernels))}-{strategy}-{seed}"
             metrics = whole_run(replace(config, seed=seed), path).read_metrics()
-            last = [row for row in metrics if row.evaluations <= evaluations][-1]
+            last = next(row for row in metrics if row.evaluations >= evaluations)
             finals.append([last.qd_score, last.coverage, last.best_objective])
         mean, error = np.mean(finals, axis=0), standard_error(finals)
         cells = [f"{m:.3f} ({e:.3f})" for m, e in zip(mean, error, strict=True)]

@@ -43,15 +43,14 @@ from qdenv.types import InputError, look_up
 
 def numbers_of(archive: SavedArchive) -> dict[str, np.ndarray]:
     """List what rules order elites by, float [elites] each."""
-    columns = dict(archive.columns)
-    measures = columns.pop("measures")
     found = {
         name: values.astype(float).reshape(len(values), -1).mean(axis=1)
-        for name, values in columns.items()
-        if name != "solution" and values.ndim <= 2
+        for name, values in archive.columns.items()
+        if name not in ("solution", "measures") and values.ndim <= 2
     }
+    measures = archive.columns["measures"].T.astype(float)
     names = (axis.name for axis in archive.schema.measures)
-    return found | dict(zip(names, measures.T.astype(float), strict=True))
+    return found | dict(zip(names, measures, strict=True))
 
 
 def in_order(rule: Rule, numbers: Mapping[str, np.ndarray], elites: np.ndarray) -> np.ndarray:
@@ -89,17 +88,15 @@ def choose(workshop: Workshop, rules: tuple[Rule, ...]) -> dict[Rule, Cell]:
             tried.sort(key=workshop.worth, reverse=True)
             chosen[rule] = next((cell for cell in tried if workshop.flows(cell)), tried[0])
         else:
-            passing = (cell for cell in tried if workshop.worth(cell) >= 0)
-            chosen[rule] = next(passing, free[0])
+            chosen[rule] = next((cell for cell in tried if workshop.worth(cell) >= 0), free[0])
         print(f"{rule.name}: {chosen[rule]}", flush=True)
     return chosen
 
 
 def origin_of(workshop: Workshop, domain: str) -> Origin:
     """Return the run that generators come from."""
-    run, counted = workshop.run, "actions to the goal"
-    if workshop.fleet:
-        counted = "throughput [tasks per timestep]"
+    run = workshop.run
+    counted = "throughput [tasks per timestep]" if workshop.fleet else "actions to the goal"
     config, manifest = run.config, read_json(run.path / "manifest.json", dict[str, Any])
     alike = [name for name, one in PRESETS.items() if one.evaluation == config.evaluation]
     preset = domain if domain in alike else next(iter(alike), domain)

@@ -31,18 +31,12 @@ def with_fleets(things: str, noun: str, few: str, many: str) -> tuple[Rule, ...]
     best = "of those tried that flow at the largest size under both planners, moved most in a trial"
     regular = f"one of the best regular ones with few {noun}"
     clean = "chosen by similarity to its drawing, as the search measures it"
+    alike = "few different patterns of tiles at the trained size: of low entropy"
+    unlike = "many different patterns of tiles at the trained size: of high entropy"
     return (
         Rule(USUAL, best, "objective", tried=24, apart=8),
-        Rule(
-            "regular",
-            "few different patterns of tiles at the trained size: of low entropy",
-            f"-{ENTROPY}",
-        ),
-        Rule(
-            "varied",
-            "many different patterns of tiles at the trained size: of high entropy",
-            ENTROPY,
-        ),
+        Rule("regular", alike, f"-{ENTROPY}"),
+        Rule("varied", unlike, ENTROPY),
         Rule(f"few-{noun}", few, f"-{things}"),
         Rule(f"many-{noun}", many, things),
         Rule("orderly", "one of the best of the most regular tenth", "objective", tenth),
@@ -63,16 +57,12 @@ def in_mazes(thing: str, names: tuple[str, str], much: tuple[str, str]) -> tuple
     dense, sparse = (SURE, (thing, 0.1)), (SURE, (f"-{thing}", 0.1))
     missed = (("shortest", 0.2), ("success", 0.7))
     best = "a long way that the agent finds at the largest size, too"
+    slow = "many actions of the agent, which mostly arrives (at 18 x 18)"
     return (
         Rule(USUAL, best, "shortest", (SURE,), tried=8),
         Rule("straight", "a far goal, found with few detours (at 18 x 18)", f"-{ACTIONS}", far),
         Rule("winding", "a goal that is near and found late", ACTIONS, near),
-        Rule(
-            "wandering",
-            "many actions of the agent, which mostly arrives (at 18 x 18)",
-            ACTIONS,
-            (SURE,),
-        ),
+        Rule("wandering", slow, ACTIONS, (SURE,)),
         Rule(more, f"{much[0]} that leave a long way", thing, far),
         Rule(less, f"{much[1]} that leave a long way", f"-{thing}", far),
         Rule(f"{more}-long", f"{much[0]} above all, then a long way", "shortest", dense),

@@ -92,6 +92,12 @@ def test_a_run_is_made_once_and_goes_on_where_it_was_left(folders, monkeypatch):
     assert run.done(folders) == 0 and run.cost(folders) == 0
     run.make(folders)
     assert run.done(folders) == 1 and run.cost(folders) == 0
+    kept = run.path(folders) / "metrics.csv"
+    kept.write_text(kept.read_text().replace("\n1,6,", "\n1,3,"))
+    read_summary.cache_clear()
+    assert run.done(folders) == 0.5
+    run.make(folders)
+    assert run.done(folders) == 1
     more = replace(run, evaluations=12)
     assert more.done(folders) == 0.5
     assert more.cost(folders) == pytest.approx(6 * cpu_seconds(more.config))

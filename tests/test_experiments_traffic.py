@@ -233,6 +233,7 @@ def test_table_5_and_figure_22_follow_from_the_runs_that_are_saved(folders):
     saved = TABLE["warehouse-even", "nca", S, "high"]
     save(saved.layout, folders)
     write_down(saved, folders, moved, jams=1)
+    write_down(saved, folders, moved, jams=1)  # by a second process
     refused = TABLE["manufacturing", "cma-es", S_EVAL, "high"]
     save(refused.layout, folders, refused="no repair of 101 x 102")
     assert refused.done(folders) == 1 and refused.cost(folders) == 0 and saved.done(folders) == 0.08

@@ -4,10 +4,13 @@ import runpy
 import sys
 
 import pytest
+from conftest import OWN_LAYOUTS
 
 from qdenv import interrupt
 
 pytestmark = pytest.mark.slow
+
+LAYOUT = OWN_LAYOUTS / "warehouse_even.json"
 
 # What follows `python -m` -> what its one line must say.
 MISTAKES = {
@@ -20,6 +23,8 @@ MISTAKES = {
     "experiments.which_nca --preset dsage-quick": "there is no setting 'kernel_sizes'",
     "experiments.own_objective --algorithm magic": "unknown algorithm 'magic'",
     "experiments.zoo nowhere": "nowhere: ",
+    "experiments.polish nowhere --layouts 0": "layouts must be at least 1, not 0",
+    f"experiments.congestion {LAYOUT} --timesteps 0": "timesteps must be at least 1, not 0",
     "experiments.benchmarks maze --unit 3": "unknown option --unit",
     "experiments.benchmarks speed": "usage: python -m experiments.benchmarks {pipeline,",
 }

@@ -60,8 +60,7 @@ def search(iterations: PositiveInt = 100, only: str = "", json: Path | None = No
             timing = {"pyribs_cpu_ms": None, "pyribs_wall_ms": None}
             timing = time_search(*case, iterations).per(iterations) | timing
             if pyribs and pyribs_iterations:
-                watch = time_pyribs(*case, pyribs_iterations)
-                timing |= watch.per(pyribs_iterations, "pyribs_")
+                timing |= time_pyribs(*case, pyribs_iterations).per(pyribs_iterations, "pyribs_")
             yield {"search": f"{name}, {strategy}, {emitters} x {batch} x {dim:,}", **timing}
 
     tables = {"searches": show("CMA-MAE, per iteration", rows())}
@@ -159,7 +158,7 @@ def surrogate(
     size: Literal["small", "published"] = "small",
     preset: str = "warehouse-even",
     rounds: int = 4,
-    repeats: int = 3,
+    repeats: PositiveInt = 3,
     inner_iterations: int = 10_000,
     epochs: int = 20,
     samples: int = 20_000,
