@@ -21,6 +21,7 @@ from experiments.pieces import RESULTS, Experiment, Folders
 from experiments.program import run_program
 from qdenv.io.files import write_atomically
 from qdenv.ops.output import format_duration
+from qdenv.ranges import PositiveInt
 from qdenv.run.executors import Execution, ExecutorName
 from qdenv.types import InputError, look_up
 from qdenv.view.style import save_figure, styled
@@ -111,7 +112,7 @@ def main(
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional] = (),
     making: Annotated[str | None, tyro.conf.arg(name="make", metavar="NAME")] = None,
     missing: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
-    seeds: int = 1,
+    seeds: PositiveInt = 1,
     runs: Path = Path("runs"),
     results: Path = RESULTS,
     out: Path | None = None,
@@ -125,7 +126,7 @@ def main(
         experiments: which to draw; all for all that can be drawn.
         making: make what this one is still missing, then draw it; an interruption loses little.
         missing: list what this one is still missing and what making it costs.
-        seeds: number of searches of each kind, of seeds 0, 1, 2, ...; figures show up to five.
+        seeds: number of searches of each kind in Table 4, seeds 0, 1, 2, ...; it shows up to five.
         runs: folder of whole runs, which are begun or continued here.
         results: folder of what is kept of them.
         out: folder for the pictures and tables; that of the results unless given.
