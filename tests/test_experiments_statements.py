@@ -275,6 +275,7 @@ def test_the_page_says_what_table_5_shows():
         ((even, "a1", small), paper[even, "a1", 200], "= 1 {1} % more than ours under PBS."),
         ((uneven, "cma-es", small), paper[uneven, "cma-es", 200], "moves **{} and {} % more**. At"),
         ((uneven, "a0", small), paper[uneven, "a0", 200], "**{} and {} % more** at 33 × 36 (than"),  # noqa: RUF001
+        ((uneven, "a1", small), paper[uneven, "a1", 200], "alpha = 1 **{} and {} % more**, and at"),
     ):
         assert text.format(*(more(theirs, one) for one in own[key])) in PAGE
     for key, theirs, text in (
@@ -285,8 +286,9 @@ def test_the_page_says_what_table_5_shows():
         assert text.format(*(f"{100 * (1 - one / theirs):.1f}" for one in own[key])) in PAGE
     good = {key[:2]: pair[1][0] for key, pair in moved.items() if key[2] == large}
     assert good[even, "cma-mae"] == good[even, "cma-es"] == good[uneven, "cma-es"] == 0
-    theirs = more(paper[uneven, "a0", 1000], own[uneven, "a0", large][0])
-    assert good[uneven, "a0"] == 0 and f"and {theirs} % more at 101 × 102 under our" in PAGE  # noqa: RUF001
+    theirs = [more(paper[uneven, one, 1000], own[uneven, one, large][0]) for one in ("a0", "a1")]
+    assert "under our planner **{} and {} % more** (alpha 0 and 1).".format(*theirs) in PAGE
+    assert good[uneven, "a0"] == good[uneven, "a1"] == 0
     these = more(own[uneven, "cma-mae", large][1], paper[uneven, "nca", 1000])
     assert f"{good[uneven, 'cma-mae']} of 50 (paper 84 %); these move {these} % more." in PAGE
     for key, others, text in (
@@ -314,7 +316,8 @@ def test_the_page_says_what_table_5_shows():
     assert f"in the paper it moves {paper[factory, 'cma-es', 200]:.2f} at 33" in PAGE
     less = f"{100 * (1 - own[even, 'cma-es', large][0] / own[even, 'cma-mae', large][0]):.0f}"
     jammed = {key: pair[0][0] for key, pair in moved.items() if pair[0][0] < 50}
-    assert [*jammed] == [(even, "cma-es", large)]
+    assert [*jammed] == [(even, "cma-es", large), (uneven, "a1", large)]
+    assert f"There {jammed[uneven, 'a1', large]} of 50 runs with alpha = 1 succeed" in PAGE
     assert f"moves {less} % less there, and {jammed[even, 'cma-es', large]} of 50 runs" in PAGE
     ratios = np.divide(own[even, "cma-es", small], own[even, "cma-mae", small])
     assert (ratios < 1).all() and (ratios > 0.998).all() and "too, by less than 0.2 %" in PAGE
@@ -404,10 +407,11 @@ def test_the_page_sets_ours_beside_the_papers_own_layouts():
     for (domain, maker, size), one in mean.items():
         paper = float(theirs[domain.replace("-", "_")]["throughput"])
         if domain != even and maker != "cma-es" and size == small and one < paper:
-            less[domain, maker] = f"{100 * (1 - one / paper):.1f} %"
-    assert {*less} == {(uneven, "cma-mae"), (uneven, "a0")}
-    text = "move less, by {} (alpha = 5) and {} (alpha = 0)."
-    assert text.format(less[uneven, "cma-mae"], less[uneven, "a0"]) in PAGE
+            less[domain, maker] = f"{100 * (1 - one / paper):.1f}"
+    makers = ("cma-mae", "a1", "a0")
+    assert {*less} == {(uneven, one) for one in makers}
+    text = "move less, by {}, {} and {} % (alpha 5, 1 and 0)."
+    assert text.format(*(less[uneven, one] for one in makers)) in PAGE
 
 
 def test_the_page_states_the_peaks_and_what_congests():
