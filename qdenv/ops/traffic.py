@@ -62,9 +62,9 @@ def simulate(
     Examples:
         ``qdenv simulate plan.txt --robots 60 --plot``
     """
-    if width and not plot:
-        raise InputError(f"--width {width} is the picture's: add --plot")
     inches = parse_width(width or SCREEN)
+    if width and not plot:
+        raise InputError(f"--width {inches:g} is the picture's: add --plot")
     options = args.Fleet(fleet)
     plan, name = options.read_plan(layout), args.name_of(layout)
     inputs = [layout, *options.inputs]
