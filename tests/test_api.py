@@ -6,6 +6,7 @@ import json
 import pkgutil
 import shutil
 from dataclasses import replace
+from functools import partial
 from importlib import metadata
 
 import numpy as np
@@ -24,6 +25,7 @@ from qdenv.io.layouts import write_layout
 from qdenv.run import loop
 from qdenv.run.config import override
 from qdenv.run.directory import RunDirectory
+from qdenv.run.executors import Execution
 from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
@@ -336,6 +338,19 @@ def test_export_writes_tables_and_every_layout(run, folder, capsys):
     assert command(["export", str(run.path), "--solutions", "--out", "s.csv"]) == 0
     width = run.archive.columns["solution"].shape[1]
     assert len(pandas.read_csv("s.csv").columns) == len(frame.columns) + width
+
+
+def test_missing_packages_are_named_with_what_installs_them(run, monkeypatch):
+    archive = run.archive
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    makers = {
+        "data": archive.to_pandas,
+        "pyribs": archive.to_ribs,
+        "dask": partial(Execution, "dask"),
+    }
+    for extra, make in makers.items():
+        with pytest.raises(InputError, match=rf'pip install "qdenv\[{extra}\]"'):
+            make()
 
 
 def test_parquet_is_written_or_says_what_it_needs(run, tmp_path, capsys):
