@@ -111,7 +111,7 @@ def test_the_base_is_what_fixed_costs_make_of_it_but_for_the_scale():
 
 
 def test_costs_without_a_floor_are_refused():
-    with pytest.raises(InputError, match="needs a floor"):
+    with pytest.raises(InputError, match="needs an existing floor"):
         GENERATORS.make(CostsConfig(), WAREHOUSE.canvas)
 
 
