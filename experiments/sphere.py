@@ -1,11 +1,11 @@
 """Train CMA-MAE on the sphere benchmark of quality diversity; no grid world in sight.
 
     python -m experiments.sphere                                  # seconds
-    python -m experiments.sphere --iterations 10000 --seeds 5     # the published length
+    python -m experiments.sphere --iterations 10000 --seeds 3 --strategy full iso sep --out FILE
 
 Prints the normalised QD-score (per cell) and the coverage in per cent of every seed, their mean
-and the standard error; `--picture FILE` draws the archive of the last seed. What was measured
-stands in experiments/README.md.
+and the standard error; `--picture FILE` draws the archive of the last one. What was measured is
+in results/sphere-500.csv and -10000.csv, and stands in experiments/README.md.
 """
 
 import time
@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.program import run_program
+from qdenv.io.files import write_csv
 from qdenv.ranges import PositiveInt
 from qdenv.search.base import Problem
 from qdenv.search.cma_mae import CmaMaeConfig, cma_mae
@@ -64,10 +65,11 @@ def main(
     iterations: PositiveInt = 500,
     seeds: PositiveInt = 1,
     dim: PositiveInt = 100,
-    strategy: StrategyName = "full",
+    strategy: tuple[StrategyName, ...] = ("full",),
     emitters: int = 15,
     batch: int = 36,
     picture: Path | None = None,
+    out: Path | None = None,
 ) -> None:
     """Run the benchmark.
 
@@ -75,27 +77,34 @@ def main(
         iterations: of each search.
         seeds: how many searches.
         dim: parameters of a solution.
-        strategy: iso, sep, full, lm_ma, or a name of evosax.
+        strategy: one or several of iso, sep, full, lm_ma, and names of evosax.
         emitters: of CMA-MAE.
         batch: solutions per emitter and iteration.
-        picture: where to draw the archive of the last seed.
+        picture: where to draw the last archive.
+        out: table to write, a row for each search.
     """
-    config = CmaMaeConfig(emitters, batch, sigma0=0.5, restart="basic", strategy=strategy)
-    compiled = search_sphere(config, dim, iterations).lower(jax.random.key(0)).compile()
-    rows = []
-    for seed in range(seeds):
-        start = time.process_time()
-        archive = jax.block_until_ready(compiled(jax.random.key(seed)))
-        spent = 1000 * (time.process_time() - start) / iterations
-        rows.append((float(archive.qd_score) / len(archive.objectives), 100 * archive.coverage))
-        figures = f"{rows[-1][0]:6.2f} {rows[-1][1]:6.2f} %"
-        print(f"seed {seed}: {figures}   {spent:.2f} CPU ms per iteration")
-    score, coverage = (
-        f"{one:.2f}" + (f" ± {half:.2f}" if np.isfinite(half) else "")  # of one seed it is unknown
-        for one, half in zip(np.mean(rows, axis=0), standard_error(rows), strict=True)
-    )
-    about = f"{strategy}, {iterations} iterations, {seeds} seed{'s' * (seeds != 1)}"
-    print(f"{about}: normalised QD-score {score}, coverage {coverage} %")
+    table = []
+    for name in strategy:
+        config = CmaMaeConfig(emitters, batch, sigma0=0.5, restart="basic", strategy=name)
+        compiled = search_sphere(config, dim, iterations).lower(jax.random.key(0)).compile()
+        rows = []
+        for seed in range(seeds):
+            start = time.process_time()
+            archive = jax.block_until_ready(compiled(jax.random.key(seed)))
+            spent = 1000 * (time.process_time() - start) / iterations
+            qd_score = float(archive.qd_score) / len(archive.objectives)
+            rows.append((qd_score, 100 * float(archive.coverage)))
+            figures = "{:6.2f} {:6.2f} %".format(*rows[-1])
+            print(f"seed {seed}: {figures}   {spent:.2f} CPU ms per iteration", flush=True)
+            table.append((name, iterations, seed, *(f"{one:.6g}" for one in rows[-1])))
+        score, coverage = (
+            f"{one:.2f}" + (f" ± {half:.2f}" if np.isfinite(half) else "")  # unknown of one seed
+            for one, half in zip(np.mean(rows, axis=0), standard_error(rows), strict=True)
+        )
+        about = f"{name}, {iterations} iterations, {seeds} seed{'s' * (seeds != 1)}"
+        print(f"{about}: normalised QD-score {score}, coverage {coverage} %")
+    if out:
+        write_csv(out, ("strategy", "iterations", "seed", "qd_score", "coverage"), table)
     if picture:
         figure = draw_archive(new_figure(6, 4.8), archive.objectives, archive.measures, "sphere")
         save_figure(figure, picture)

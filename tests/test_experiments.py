@@ -137,13 +137,16 @@ def rename(folder: Path) -> Path:
 
 
 def test_sphere_averages_its_seeds(tmp_path, capsys):
-    sphere.main(20, 2, 10, "full", 2, 6, tmp_path / "sphere.png")
+    sphere.main(20, 2, 10, ("full",), 2, 6, tmp_path / "sphere.png", tmp_path / "s.csv")
     *seeds, mean = capsys.readouterr().out.splitlines()
     scores = [numbers(line.split(":")[1])[:2] for line in seeds]
     assert len(scores) == 2 and scores[0] != scores[1]
     said = numbers(mean.split("QD-score")[1])
     np.testing.assert_allclose([said[0], said[2]], np.mean(scores, axis=0), atol=0.011)
     assert (tmp_path / "sphere.png").exists()
+    saved = [line.split(",") for line in (tmp_path / "s.csv").read_text().splitlines()[1:]]
+    assert [row[:3] for row in saved] == [["full", "20", "0"], ["full", "20", "1"]]
+    np.testing.assert_allclose([float(row[3]) for row in saved], [s[0] for s in scores], atol=0.01)
 
 
 def test_own_objective_saves_a_row_per_elite(tmp_path, capsys):

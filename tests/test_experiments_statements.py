@@ -572,6 +572,20 @@ def test_the_notes_state_what_highs_gains():
         assert f"| `{domain}` | {' | '.join(cells)} |" in NOTES
 
 
+def test_the_page_shows_the_sphere_as_it_is_saved():
+    means = {}
+    for (iterations, seeds), strategy in product(((500, 8), (10_000, 3)), ("full", "iso", "sep")):
+        own = rows(f"sphere-{iterations}.csv", strategy=strategy, iterations=str(iterations))
+        values = [[float(row[name]) for row in own] for name in ("qd_score", "coverage")]
+        samples = [sample_of(np.array(column)) for column in values]
+        cells = [strategy, f"{iterations:,}", str(seeds)]
+        cells += [f"{one.mean:.2f} ± {one.error:.2f}" for one in samples]
+        assert len(own) == seeds and f"| {' | '.join(cells)} |" in PAGE
+        means[strategy, iterations] = [one.mean for one in samples]
+    score, coverage = means["iso", 10_000]
+    assert score < 63.22 and coverage < 80.82 and "63.22 and 80.82 (pyribs' tutorial" in PAGE
+
+
 def test_the_page_compares_exact_and_float_automata():
     runs = rows("arithmetic.csv")
     for name, scale, digits in (("qd_score", 1, 1), ("best_objective", 1, 3), ("coverage", 100, 1)):
