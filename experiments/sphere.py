@@ -92,15 +92,15 @@ def main(
             start = time.process_time()
             archive = jax.block_until_ready(compiled(jax.random.key(seed)))
             spent = 1000 * (time.process_time() - start) / iterations
-            qd_score = float(archive.qd_score) / len(archive.objectives)
-            rows.append((qd_score, 100 * float(archive.coverage)))
+            found = archive.qd_score / len(archive.objectives), 100 * archive.coverage
+            rows.append([float(f"{one:.6g}") for one in found])
             figures = "{:6.2f} {:6.2f} %".format(*rows[-1])
             print(f"seed {seed}: {figures}   {spent:.2f} CPU ms per iteration", flush=True)
-            table.append((name, iterations, seed, *(f"{one:.6g}" for one in rows[-1])))
         score, coverage = (
             f"{one:.2f}" + (f" ± {half:.2f}" if np.isfinite(half) else "")  # unknown of one seed
             for one, half in zip(np.mean(rows, axis=0), standard_error(rows), strict=True)
         )
+        table += [(name, iterations, seed, *row) for seed, row in enumerate(rows)]
         about = f"{name}, {iterations} iterations, {seeds} seed{'s' * (seeds != 1)}"
         print(f"{about}: normalised QD-score {score}, coverage {coverage} %")
     if out:

@@ -85,7 +85,7 @@ def choices(name: str, known: Iterable[str]) -> str:
 
 
 def require_package(what: str, package: str, extra: str = "viz") -> None:
-    """Raise InputError if a package, which `what` ("pages") need, is missing: one of our extras."""
+    """Raise InputError if a package that `what` ("pages") need is missing: an `extra` has it."""
     if importlib.util.find_spec(package.replace("-", "_")) is None:
         raise InputError(f'{what} need {package}: pip install "qdenv[{extra}]"')
 

@@ -213,7 +213,7 @@ class Fleet:
         """Resolve options of a `kind`; raise InputError if one is not of it, or impossible."""
         kinds = get_type_hints(kind, include_extras=True)
         for name, value in options.items():
-            # Functions take agents themselves: here it answers who writes robots.
+            # Functions have agents themselves: it is known here to be suggested for robots.
             check_range(name, value, look_up({"agents": int} | kinds, name, "option"))
         self.domain: str | None = options.get("domain")
         self.timesteps: int | None = options.get("timesteps")

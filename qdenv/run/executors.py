@@ -76,7 +76,7 @@ class Execution(Ranged):
             return
         if self.scheduler and self.workers:
             raise InputError("--workers is for a cluster on this machine: leave --scheduler out")
-        for package in ("distributed", "cryptography"):  # by which a cluster here knows its own
+        for package in ("distributed", "cryptography"):  # that makes a local cluster's certificates
             require_package("clusters", package, "dask")
 
     @contextlib.contextmanager

@@ -29,7 +29,7 @@ from qdenv.types import InputError, Traffic
 _FLOWS, _NEAR, _PAST, _CONGESTED = "flows", "near capacity", "past its peak", "congested"
 
 _MOST_RECORDED = 50_000_000  # agent-steps recorded at a time: 650 MB, and copies of them
-_JAMMED = 0.5  # share of congested runs, from which a layout is congested
+_JAMMED = 0.5  # least share of congested runs of a layout that is congested
 _PROBES = 2  # runs with another number of agents
 _FEWER, _FAR_FEWER, _MORE = 0.75, (0.5, 0.25), 1.25  # times the agents, to probe
 _IDLE = 0.05  # share of time without an order from which on there are agents enough
