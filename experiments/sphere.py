@@ -92,8 +92,8 @@ def main(
             start = time.process_time()
             archive = jax.block_until_ready(compiled(jax.random.key(seed)))
             spent = 1000 * (time.process_time() - start) / iterations
-            found = archive.qd_score / len(archive.objectives), 100 * archive.coverage
-            rows.append([float(f"{one:.6g}") for one in found])
+            qd_score = float(archive.qd_score) / len(archive.objectives)
+            rows.append([float(f"{one:.6g}") for one in (qd_score, 100 * float(archive.coverage))])
             figures = "{:6.2f} {:6.2f} %".format(*rows[-1])
             print(f"seed {seed}: {figures}   {spent:.2f} CPU ms per iteration", flush=True)
         score, coverage = (
