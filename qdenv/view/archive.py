@@ -91,7 +91,7 @@ def draw_archive(
         red, green, blue, _ = (float(part) for part in image.to_rgba(values[0]))
         text = f"{label}: {values[0]:g} in every filled cell"
         patch = Patch(facecolor=(red, green, blue), label=text)
-        figure.legend(handles=[patch], loc="outside lower center", frameon=False)
+        figure.legend(handles=[patch], loc="outside lower center")
     else:
         figure.colorbar(image, ax=axes, label=label)
     return figure

@@ -143,6 +143,5 @@ def draw_diagnosis(plan: Plan, broken: Sequence[Violation], remarks: Sequence[Re
         bbox_transform=axes.transAxes,
         labelspacing=1.0,
         fontsize=9,
-        frameon=False,
     )
     return figure

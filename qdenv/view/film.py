@@ -150,9 +150,7 @@ class _Stage:
             warm = WARMTH[min((waited[agent] - JAM_FROM) // JAM_STEP, len(WARMTH) - 1)]
             pen.rectangle((x, y, x + end, y + end), warm)
         # One that stays without waiting is served, or has no order.
-        still = np.zeros(len(waited), bool)
-        if step >= 0:
-            still = motion.positions[step] == motion.positions[step + 1]
+        still = (step >= 0) & (motion.positions[step] == motion.positions[step + 1])
         kinds = np.where(waited > 0, "waiting", np.where(still, "serving", "driving"))
         for kind, corner in zip(kinds.tolist(), corners.tolist(), strict=True):
             picture.paste(self._discs[kind], tuple(corner), self._discs[kind])

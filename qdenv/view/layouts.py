@@ -81,7 +81,6 @@ def draw_layout(layout: Array, tiles: str, ax: Axes, names: Mapping[str, str] = 
         loc="upper center",
         bbox_to_anchor=(0.5, -0.01),
         ncols=int(np.clip(inches / entry, 1, len(handles))),
-        frameon=False,
         fontsize=points,
         handlelength=1.0,
         columnspacing=1.2,
@@ -135,7 +134,7 @@ def side_of(shape: tuple[int, ...], panels: int = 1) -> float:
 
 def draw_marks(axes: Axes, marks: Mapping[str, tuple[int, int]]) -> None:
     """Mark named cells (row, column) on a drawn layout, with their names beside them."""
-    rows, _ = np.array(axes.get_ylim())
+    rows, _ = axes.get_ylim()
     for name, (row, column) in marks.items():
         sign = {"start": "o", "goal": "*"}.get(name, "s")
         axes.scatter(column, row, s=42, color=_NAMED, marker=sign, edgecolors="white", lw=0.6)

@@ -39,14 +39,14 @@ def _draw_notes(notes: list[Note]) -> Figure:
         axes.set_xlabel("true evaluations")
         if kind in ("loss", "rmse"):  # they shrink by factors
             axes.set_yscale("log")
-            for set_formatter in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
-                set_formatter(LogFormatter())  # the usual one writes mathematics
+            # The usual ones write mathematics.
+            axes.yaxis.set(major_formatter=LogFormatter(), minor_formatter=LogFormatter())
         if kind == "r2":
             axes.set_ylim(-1, 1)  # below -1 it is just bad
         if len(names) > 1:
             # Below the panel: inside, it would cover the curves.
             place: Any = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
-            axes.legend(fontsize="x-small", frameon=False, **place)
+            axes.legend(fontsize="x-small", **place)
     return figure
 
 

@@ -131,7 +131,7 @@ def add_legend(figure: Figure, axes: Axes) -> None:
     figure.legend(
         handles,
         labels,
-        loc="outside upper center",  # matplotlib's stubs lack it
+        loc="outside upper center",
         ncols=-(-len(handles) // rows),  # rows of equal length
         handlelength=2.2,
         columnspacing=1.4,
@@ -160,8 +160,7 @@ def to_svg(figure: Figure, name: str, crop: bool = False) -> str:
         figure.savefig(content, format="svg", bbox_inches=box, metadata={"Date": None})
     svg = content.getvalue()
     svg = svg[svg.index("<svg") :]
-    svg = re.sub(r'\bid="', f'id="{name}-', svg)
-    svg = re.sub(r'(url\(#|href="#)', rf"\g<1>{name}-", svg)
+    svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
     return re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
 
 
