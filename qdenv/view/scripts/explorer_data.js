@@ -19,6 +19,8 @@ const state = {
 };
 
 const AREA = facts.rows * facts.cols;
+// An archive of one measure is a strip: one cell high.
+const AXES = [...facts.axes, {low: -0.5, high: 0.5, cells: 1}].slice(0, 2);
 
 /** Unpack something once. */
 function chunk(name) {
@@ -32,8 +34,7 @@ async function loadNumbers() {
   const values = new Float32Array(await unpack("values"));
   const count = facts.elites;
   state.values = facts.columns.map((_, k) => values.subarray(k * count, (k + 1) * count));
-  const size = facts.axes.reduce((product, axis) => product * axis.cells, 1);
-  state.rowOf = new Int32Array(size).fill(-1);
+  state.rowOf = new Int32Array(AXES[0].cells * AXES[1].cells).fill(-1);
   state.cells.forEach((cell, row) => { state.rowOf[cell] = row; });
   if (facts.runs) state.runs = new Float32Array(await unpack("runs"));
 }
@@ -86,9 +87,8 @@ async function prefetch() {
 
 /** Indices of an elite's cell along each measure. */
 function placeOf(row) {
-  const [, second] = facts.axes;
-  const cell = state.cells[row];
-  return second ? [Math.floor(cell / second.cells), cell % second.cells] : [cell, 0];
+  const [cell, tall] = [state.cells[row], AXES[1].cells];
+  return [Math.floor(cell / tall), cell % tall];
 }
 
 /** Name a cell as the option --elite takes it. */

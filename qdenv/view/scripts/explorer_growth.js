@@ -17,9 +17,7 @@ async function showGrowth(rows) {
   if (!shownRows().includes(row)) return;
   byId("drawn").dataset.row = String(row);
   Object.assign(state, {frames, drawn: layouts.drawn, repaired: layouts.repaired});
-  const [note, command] = growthNote(row);
-  byId("growth-note").replaceChildren(note, element("code", command));
-  byId("growth-note").lastChild.hidden = !command;
+  byId("growth-note").replaceChildren(...growthNote(row));
   byId("player").hidden = frames === null;
   byId("step").max = facts.growth.steps;
   showStep(facts.growth.steps);
@@ -29,11 +27,11 @@ async function showGrowth(rows) {
 /** Say why nothing grows, or what is odd about it, and which command adds what is missing. */
 function growthNote(row) {
   const {steps, differing: odd} = facts.growth;
-  if (steps === 0) return ["This run searched the tiles themselves: nothing grew.", ""];
+  if (steps === 0) return ["This run searched the tiles themselves: nothing grew."];
   if (!state.grownAt.has(row)) {
-    return [`The growth of this one is not in the page, which has ${state.grownAt.size} of ${facts.elites}. For all: `, facts.enlarge];
+    return [`The growth of this one is not in the page, which has ${state.grownAt.size} of ${facts.elites}. For all: `, element("code", facts.enlarge)];
   }
-  return [odd[row] ? `Grown again, it ended otherwise than in the run, in ${odd[row]} cells.` : "", ""];
+  return [odd[row] ? `Grown again, it ended otherwise than in the run, in ${odd[row]} cells.` : ""];
 }
 
 /** Show the layout after so many steps. */
@@ -85,7 +83,7 @@ function playGrowth() {
 /** Go one step on or back. */
 function stepBy(count) {
   stopGrowth();
-  showStep(Math.min(facts.growth.steps, Math.max(0, stepNow() + count)));
+  showStep(stepNow() + count);
 }
 
 /** Let the buttons of growth work. */

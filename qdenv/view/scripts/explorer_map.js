@@ -21,8 +21,8 @@ async function loadPlotly() {
 
 /** Lay the numbers of a column out as rows of the map, null where there is no elite. */
 function gridOf(column) {
-  const [first, second] = facts.axes;
-  const grid = Array.from({length: second ? second.cells : 1}, () => new Array(first.cells).fill(null));
+  const [first, second] = AXES;
+  const grid = Array.from({length: second.cells}, () => new Array(first.cells).fill(null));
   const values = state.values[column];
   for (let row = 0; row < values.length; row++) {
     const [i, j] = placeOf(row);
@@ -41,7 +41,6 @@ function axisOf(axis) {
 
 /** Middles of the cells along an axis. */
 function middles(axis) {
-  if (!axis) return [0];
   const width = (axis.high - axis.low) / axis.cells;
   return Array.from({length: axis.cells}, (_, k) => axis.low + (k + 0.5) * width);
 }
@@ -81,15 +80,15 @@ function colourBar(column) {
 /** The elites as squares, where there are few. */
 function squares() {
   if (facts.elites > FEW) return [];
-  const middle = facts.axes.map(middles);
-  const [x, y] = [0, 1].map((k) => Array.from({length: facts.elites}, (_, row) => middle[k]?.[placeOf(row)[k]] ?? 0));
-  return [{type: "scatter", mode: "markers", x, y, hoverinfo: "skip", marker: {symbol: "square", size: SQUARE, ...shading()}}];
+  const [x, y] = AXES.map(middles).map((middle, k) =>
+    Array.from({length: facts.elites}, (_, row) => middle[placeOf(row)[k]]));
+  return [{type: "scatter", mode: "markers", x, y, hoverinfo: "skip", marker: square()}];
 }
 
-/** Colours of the squares. */
-function shading() {
+/** The look of the squares. */
+function square() {
   const [cmin, cmax] = colourRange(state.colour);
-  return {color: [...state.values[state.colour]], cmin, cmax, colorscale: scale()};
+  return {symbol: "square", size: SQUARE, color: [...state.values[state.colour]], cmin, cmax, colorscale: scale()};
 }
 
 /** The colours, each with its place between 0 and 1. */
@@ -102,7 +101,7 @@ async function drawMap() {
   const [first, second] = facts.axes;
   const [zmin, zmax] = colourRange(state.colour);
   const trace = {
-    type: "heatmap", x: middles(first), y: middles(second), z: gridOf(state.colour), zmin, zmax,
+    type: "heatmap", x: middles(AXES[0]), y: middles(AXES[1]), z: gridOf(state.colour), zmin, zmax,
     colorscale: scale(), hoverinfo: "skip", colorbar: colourBar(state.colour), zsmooth: false,
   };
   const layout = {
@@ -122,5 +121,5 @@ async function recolour(column) {
   if (!isPlotted()) return drawSketch();
   const [zmin, zmax] = colourRange(column);
   await Plotly.restyle("plot", {z: [gridOf(column)], zmin, zmax, colorbar: colourBar(column)}, [0]);
-  if (facts.elites <= FEW) await Plotly.restyle("plot", {marker: [{symbol: "square", size: SQUARE, ...shading()}]}, [1]);
+  if (facts.elites <= FEW) await Plotly.restyle("plot", {marker: [square()]}, [1]);
 }

@@ -19,18 +19,16 @@ function drawnAxes() {
 /** Pixels of the middle of an elite's cell, from the top left of the map. */
 function pixelsOf(row) {
   return drawnAxes().map((axis, k) => {
-    const along = facts.axes[k];
-    const value = along ? along.low + (placeOf(row)[k] + 0.5) * (along.high - along.low) / along.cells : 0;
-    return axis.offset + axis.pixels(value);
+    const {low, high, cells} = AXES[k];
+    return axis.offset + axis.pixels(low + (placeOf(row)[k] + 0.5) * (high - low) / cells);
   });
 }
 
 /** Pixels of a cell's width and height. */
 function cellPixels() {
   return drawnAxes().map((axis, k) => {
-    const along = facts.axes[k];
-    const width = along ? (along.high - along.low) / along.cells : 1;
-    return Math.abs(axis.pixels(width) - axis.pixels(0));
+    const {low, high, cells} = AXES[k];
+    return Math.abs(axis.pixels((high - low) / cells) - axis.pixels(0));
   });
 }
 
@@ -63,10 +61,8 @@ function nearestRow(place, pixels) {
 
 /** The row in a cell, -1 where there is none. */
 function rowIn(i, j) {
-  const [first, second] = facts.axes;
-  const tall = second ? second.cells : 1;
-  if (i < 0 || j < 0 || i >= first.cells || j >= tall) return -1;
-  return state.rowOf[i * tall + j];
+  const [wide, tall] = AXES.map((axis) => axis.cells);
+  return i < 0 || j < 0 || i >= wide || j >= tall ? -1 : state.rowOf[i * tall + j];
 }
 
 /** Put the marks of A, B and the pointed cell where their cells are drawn now. */

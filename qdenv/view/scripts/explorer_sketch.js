@@ -3,25 +3,20 @@
 const MARGIN = {l: 64, r: 76, t: 8, b: 48}; // pixels around the map, for its axes and colours
 const SHADES = 256;
 
-/** Ranges of the two axes; an archive of one measure is a strip. */
-function ranges() {
-  return [0, 1].map((k) => (facts.axes[k] ? [facts.axes[k].low, facts.axes[k].high] : [-0.5, 0.5]));
-}
-
 /** The two axes before the library has drawn them: as long as it will make them. */
 function sketchedAxes() {
   const {clientWidth, clientHeight} = byId("plot");
   const [wide, tall] = [clientWidth - MARGIN.l - MARGIN.r, clientHeight - MARGIN.t - MARGIN.b];
-  const [[left, right], [low, high]] = ranges();
-  return [
-    linear(MARGIN.l, wide, (value) => (value - left) / (right - left), (share) => left + share * (right - left)),
-    linear(MARGIN.t, tall, (value) => (high - value) / (high - low), (share) => high - share * (high - low)),
-  ];
+  const [across, up] = AXES;
+  return [linear(MARGIN.l, wide, across.low, across.high), linear(MARGIN.t, tall, up.high, up.low)];
 }
 
-/** An axis that turns values into shares of its length. */
-function linear(offset, length, share, value) {
-  return {offset, length, pixels: (one) => share(one) * length, value: (pixel) => value(pixel / length)};
+/** An axis with the value `from` at its beginning and `to` at its end. */
+function linear(offset, length, from, to) {
+  return {
+    offset, length, pixels: (value) => (value - from) / (to - from) * length,
+    value: (pixel) => from + pixel / length * (to - from),
+  };
 }
 
 /** Colours between those of the scale, as pixels. */
@@ -37,8 +32,7 @@ function shades() {
 
 /** Draw the map without axes: there at once, and read as well, until the library has loaded. */
 function drawSketch() {
-  const [first, second] = facts.axes;
-  const [wide, tall] = [first.cells, second ? second.cells : 1];
+  const [wide, tall] = AXES.map((axis) => axis.cells);
   const [low, high] = colourRange(state.colour);
   const pixels = new Uint32Array(wide * tall).fill(pixelOf(EMPTY));
   const colours = shades();

@@ -51,8 +51,7 @@ function said(column, value) {
 function signed(value, form) {
   if (!Number.isFinite(value)) return "";
   const text = written(Math.abs(value), form);
-  if (parseFloat(text) === 0) return text;
-  return value > 0 ? `+${text}` : value < 0 ? `\u2212${text}` : text;
+  return parseFloat(text) === 0 ? text : `${value > 0 ? "+" : "\u2212"}${text}`;
 }
 
 /** The line of the table that shows every run. */

@@ -60,8 +60,7 @@ function frameCells(pen, side, cells) {
 
 /** Say what the tiles' colours mean. */
 function drawLegend() {
-  const used = [...facts.tiles].map((_, kind) => [facts.colours[kind], facts.tile_names[kind]]);
-  for (const [colour, name] of used) addToLegend(name).style.background = colour;
+  facts.tile_names.forEach((name, kind) => { addToLegend(name).style.background = facts.colours[kind]; });
   if (facts.repairs) addToLegend("changed by the repair").className = "framed";
 }
 
