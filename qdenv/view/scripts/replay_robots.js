@@ -18,10 +18,10 @@ function placeOf(film, agent, now) {
 /** Copy a mark to a place (column, row) of the canvas, unless it is out of sight. */
 function stamp(context, picture, view, column, row) {
   const half = picture.width / 2;
-  const x = (view.x + column * view.scale) * view.ratio - half;
-  const y = (view.y + row * view.scale) * view.ratio - half;
+  const [x, y] = pixelAt(view, column, row);
   const {width, height} = context.canvas;
-  if (x > -2 * half && y > -2 * half && x < width && y < height) context.drawImage(picture, x, y);
+  const seen = x > -half && y > -half && x < width + half && y < height + half;
+  if (seen) context.drawImage(picture, x - half, y - half);
 }
 
 /** Draw who waits for long: a halo that grows warmer. */
@@ -63,24 +63,22 @@ function drawRobots(context, film, view, sprites, now) {
 
 /** Draw the way of a robot since it set out, and the line to its goal. */
 function drawWay(context, film, view, agent, now) {
-  const at = (column, row) => [(view.x + column * view.scale) * view.ratio,
-    (view.y + row * view.scale) * view.ratio];
   const time = Math.floor(now);
   const size = view.scale * view.ratio;
   context.beginPath();
   const since = film.headings.length ? 0 : setOutAt(film, agent, time);
   for (let past = since; past <= time; past++) {
-    context.lineTo(...at(...placeOf(film, agent, past)));
+    context.lineTo(...pixelAt(view, ...placeOf(film, agent, past)));
   }
-  const place = at(...placeOf(film, agent, now));
+  const place = pixelAt(view, ...placeOf(film, agent, now));
   context.lineTo(...place);
   context.lineWidth = Math.max(2, size / 6);
   context.lineJoin = "round";
   context.strokeStyle = `${COLOURS.way}c0`;
   context.stroke();
   const cell = film.goal[time * film.agents + agent];
-  const goal = at(cell % film.cols + 0.5, Math.floor(cell / film.cols) + 0.5);
   if (film.headings.length || cell === film.idle) return;
+  const goal = pixelAt(view, cell % film.cols + 0.5, Math.floor(cell / film.cols) + 0.5);
   context.beginPath();
   context.moveTo(...place);
   context.lineTo(...goal);
@@ -94,8 +92,7 @@ function drawWay(context, film, view, agent, now) {
 
 /** Draw a ring around the followed robot, and its number. */
 function drawFollowed(context, film, view, agent, now) {
-  const [column, row] = placeOf(film, agent, now);
-  const [x, y] = [(view.x + column * view.scale) * view.ratio, (view.y + row * view.scale) * view.ratio];
+  const [x, y] = pixelAt(view, ...placeOf(film, agent, now));
   const radius = Math.max(0.52 * view.scale, 7) * view.ratio;
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
@@ -120,13 +117,10 @@ function drawAgent(context, film, view, sprites, now) {
   const time = Math.floor(now);
   const goal = film.goal[0];
   context.fillStyle = COLOURS.reached;
-  context.fillRect((view.x + (goal % film.cols) * view.scale) * view.ratio,
-    (view.y + Math.floor(goal / film.cols) * view.scale) * view.ratio, size, size);
+  context.fillRect(...pixelAt(view, goal % film.cols, Math.floor(goal / film.cols)), size, size);
   stamp(context, spriteOf(sprites, "start", size), view, ...placeOf(film, 0, 0));
   drawWay(context, film, view, 0, now);
-  const [column, row] = placeOf(film, 0, now);
   const turn = film.headings[Math.min(time + 1, film.steps)] - film.headings[time];
   const heading = film.headings[time] + (((turn + 5) % 4) - 1) * (now - time);
-  arrow(context, (view.x + column * view.scale) * view.ratio,
-    (view.y + row * view.scale) * view.ratio, size, heading);
+  arrow(context, ...pixelAt(view, ...placeOf(film, 0, now)), size, heading);
 }

@@ -7,6 +7,11 @@ function makeView(rows, cols) {
   return {rows, cols, width: 1, height: 1, ratio: 1, scale: 1, x: 0, y: 0, whole: true};
 }
 
+/** Find the pixel of the canvas at a place (column, row). */
+function pixelAt(view, column, row) {
+  return [(view.x + column * view.scale) * view.ratio, (view.y + row * view.scale) * view.ratio];
+}
+
 /** Choose the scale at which the whole layout fits, of whole pixels of the screen where it can. */
 function fitScale(view) {
   const margin = 12;
