@@ -103,10 +103,15 @@ def test_robots_without_an_order_have_no_goal(tmp_path, opened):
     path = make_replay(plan, motion, traffic).save(tmp_path / "idle.html")
     agent = int((motion.goals[40] < 0).argmax())
     assert motion.goals[40, agent] < 0 and traffic.finished.sum() > 3
+    begins = (motion.goals[9:-3] < 0) & (motion.goals[10:-2] >= 0)
+    goes_on = motion.goals[10:-2] == motion.goals[12:]
+    time, busy = (np.argwhere(begins & goes_on)[0] + [10, 0]).tolist()
     with opened(path, ready=SHOWN) as page:
         check_film(page, motion, traffic)
         page.evaluate(f"byId('goals').checked = true, goTo(40), follow({agent})")
         assert "its goal" not in page.inner_text("#doing")
+        page.evaluate(f"goTo({time + 2}), follow({busy})")
+        assert page.inner_text("#doing").split(". ")[0].endswith(", on the way for 2")
 
 
 def test_numbers_are_those_of_the_run_at_every_timestep(busy, shown):
@@ -121,6 +126,12 @@ def test_numbers_are_those_of_the_run_at_every_timestep(busy, shown):
         rate = f"{done / time:.3f}" if time else "-"
         assert shown.inner_text("#count-throughput") == rate
     assert rate == f"{float(traffic.throughput):.3f}"
+
+
+def test_waiting_is_counted_up_to_what_a_byte_holds(busy, shown):
+    step, agent = np.argwhere(busy[1].waits)[0]
+    shown.evaluate(f"state.film.waited.fill(255), goTo({step + 1}), follow({agent})")
+    assert "waiting for 255 or more timesteps, at row" in shown.inner_text("#doing")
 
 
 def test_playing_advances_and_pausing_holds(shown):

@@ -87,7 +87,7 @@ def about_fleet(
     tasks, waits = int(motion.finished.sum()), motion.waits
     jam = ""
     if motion.congested:
-        after = "and went on" if motion.steps == motion.timesteps else "which ended the run"
+        after = "which ended the run" if config.stop_when_congested else "and went on"
         jam = f"; congested at {int(traffic.congested_at)}, {after}"
     return [
         f"{config.agents:,} robots on {rows} x {cols}, {motion.timesteps:,} timesteps, "

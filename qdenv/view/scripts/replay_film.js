@@ -1,7 +1,7 @@
 "use strict";
 
 const DIGITS = [25, 5, 1]; // three moves a byte
-const WAITED_MOST = 255; // timesteps of waiting in a row beyond which nobody counts
+const WAITED_MOST = 255; // timesteps of waiting in a row, the most that are counted
 
 /** Unpack an array of numbers by its name. */
 async function numbers(name, kind) {
@@ -12,8 +12,9 @@ async function numbers(name, kind) {
  * Undo what `qdenv/view/replay.py` encoded.
  * Cells by timestep and robot, row-major: `position` and `goal` [(steps + 1) * agents]; `waited`
  * [steps * agents] is for how many timesteps a robot has waited in a row after each step, 0 where
- * it moved, was served or had no order: `idle` is its goal then. `finishedBy` and `waitsBy` [steps + 1] are sums since the beginning;
- * `tasks` holds for each robot the timesteps at which it finished one.
+ * it moved, was served or had no order: `idle` is its goal then. `finishedBy` and `waitsBy`
+ * [steps + 1] are sums since the beginning; `turns` holds for each robot the timesteps at which it
+ * got another goal, `tasks` those of them at which it finished a task.
  */
 async function readFilm() {
   const {rows, cols, agents, steps} = facts;
@@ -28,6 +29,7 @@ async function readFilm() {
     waited: new Uint8Array(steps * agents),
     finishedBy: new Uint32Array(steps + 1),
     waitsBy: new Uint32Array(steps + 1),
+    turns: [],
     tasks: [],
     idle: new cell([-1])[0],
   };
@@ -40,7 +42,7 @@ async function readFilm() {
   return film;
 }
 
-/** Write down each robot's goal at every timestep, and when it finished its tasks. */
+/** Write down each robot's goal at every timestep, when it got it, and when it finished its tasks. */
 async function readGoals(film) {
   const [first, counts] = [await numbers("goals", Uint32Array), await numbers("counts", Uint32Array)];
   const [times, next] = [await numbers("times", Uint32Array), await numbers("next", Uint32Array)];
@@ -48,7 +50,8 @@ async function readGoals(film) {
   let event = 0;
   for (let agent = 0; agent < film.agents; agent++) {
     const [from, end] = [event, event + counts[agent]];
-    film.tasks.push(times.subarray(event, end).filter((_, index) => !done || done[from + index]));
+    film.turns.push(times.subarray(from, end));
+    film.tasks.push(film.turns[agent].filter((_, index) => !done || done[from + index]));
     let goal = first[agent];
     for (let time = 0; time <= film.steps; time++) {
       for (; event < end && times[event] === time; event++) {
@@ -92,14 +95,10 @@ function doingOf(film, agent, step) {
 
 /** Count the tasks that a robot has finished by a timestep. */
 function tasksBy(film, agent, time) {
-  const times = film.tasks[agent];
-  let count = 0;
-  while (count < times.length && times[count] <= time) count++;
-  return count;
+  return film.tasks[agent].filter((finished) => finished <= time).length;
 }
 
 /** Find since when a robot is on its way to its goal. */
 function setOutAt(film, agent, time) {
-  const count = tasksBy(film, agent, time);
-  return count ? film.tasks[agent][count - 1] : 0;
+  return film.turns[agent].findLast((turn) => turn <= time) ?? 0;
 }

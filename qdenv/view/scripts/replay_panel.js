@@ -48,7 +48,7 @@ function showFollowed(film, agent, now) {
     driving: "driving",
     serving: "being served",
     idle: "without an order",
-    waiting: `waiting for ${waited} timestep${waited === 1 ? "" : "s"}`,
+    waiting: `waiting for ${waited}${waited < WAITED_MOST ? "" : " or more"} timestep${waited === 1 ? "" : "s"}`,
   };
   const [tasks, since] = [tasksBy(film, agent, time), time - setOutAt(film, agent, time)];
   const way = goal === film.idle ? "" : `; its goal: ${cellWords(film, goal)}, on the way for ${since}`;
