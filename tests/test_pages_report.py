@@ -254,10 +254,12 @@ def test_the_hand_made_rival_has_the_same_stations_or_there_is_none(folder):
     plans = [read_plan(folder / name) for name in ("plan.json", "hand-made.json", "maze.txt")]
     plan, human, maze = (Subject(one.name, one.name, one) for one in plans)
     rival = find_rival(plan, [plan])
-    assert rival.name == "hand-made"
+    assert rival.plan.name == "hand-made"
     assert np.array_equal(rival.plan.layout, human.plan.layout)
     shelves = [int((one.plan.layout == 1).sum()) for one in (human, plan)]
     assert "with {} shelves, not {}".format(*shelves) in rival.about
+    namesake = plan._replace(name="hand-made")
+    assert find_rival(namesake, [namesake]).plan.name == "hand-made design"
     assert find_rival(plan, [plan, human]) is None  # compared with each other already
     assert find_rival(human, [human]) is None and find_rival(maze, [maze]) is None
     moved = plan.plan.layout.copy()

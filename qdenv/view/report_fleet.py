@@ -49,7 +49,7 @@ class FleetRequest(NamedTuple):
     @property
     def floors(self) -> dict[str, Floor]:
         """All that is simulated by name: the subjects, then the hand-made layouts."""
-        rivals = {one.name: Floor(one.plan.layout) for one in self.rivals if one}
+        rivals = {one.plan.name: one.plan.floor for one in self.rivals if one}
         return {one.name: one.plan.floor for one in self.subjects} | rivals
 
 
@@ -123,7 +123,7 @@ def report_fleet(
             "source": one.source,
             "worth_having": content["capacity"],
             "hand_made": rival
-            and {"layout": rival.name, "about": rival.about, "differences": apart},
+            and {"layout": rival.plan.name, "about": rival.about, "differences": apart},
         }
     jammed = any(row.success_rate < 1 for row in rows)
     return make_report(
@@ -177,7 +177,7 @@ def _simulate(
 def _compare(subject: Subject, rival: Rival | None, rows: list[Row], row: Row) -> dict[str, Any]:
     """Return the numbers of one layout, and by how much it moves more than the hand-made one."""
     own = sorted((one for one in rows if one.layout == subject.name), key=lambda one: one.agents)
-    theirs = {one.agents: one for one in rows if rival and one.layout == rival.name}
+    theirs = {one.agents: one for one in rows if rival and one.layout == rival.plan.name}
     # Over all runs, as `qdenv compare` does.
     against = [
         (one, theirs[one.agents], difference(one.sample_of_all, theirs[one.agents].sample_of_all))
@@ -244,7 +244,7 @@ def _draw(
         along = share_along(preferred, maps.moves)
         flow = to_svg(draw_panel(scene, "flow", _MAP), f"flow-{number}")
     change = rival and draw_change(
-        rival.plan, subject.plan, None, (rival.name, subject.name), WIDTH
+        rival.plan, subject.plan, None, (rival.plan.name, subject.name), WIDTH
     )
     # A cell that is hardly ever waited on is no place to look at.
     spots = [one for one in scene.worst if one["waiting"] >= _LEAST_WAITING]

@@ -24,8 +24,7 @@ class Subject(NamedTuple):
 class Rival(NamedTuple):
     """The layout that people draw by hand, to compare with."""
 
-    name: str  # how the page calls it
-    plan: Plan  # its layout and domain
+    plan: Plan  # the layout, its domain and how the page calls it
     about: str  # what it holds, and where that differs
 
 
@@ -71,8 +70,10 @@ def find_rival(subject: Subject, subjects: Sequence[Subject]) -> Rival | None:
     sizes = {one.plan.layout.shape for one in subjects}
     size = "{} x {}".format(*layout.shape)
     name = "hand-made" if len(sizes) == 1 else f"hand-made {size}"
+    while any(one.name == name for one in subjects):  # rows are found by name
+        name += " design"
     own, other = domain.fitted(layout).numbers, domain.fitted(human).numbers
     differ = [f"{other[kind]} {kind}, not {own[kind]}" for kind in own if own[kind] != other[kind]]
     holds = f", with {listed(differ)}" if differ else ""
     about = f"What people draw by hand at {size}, around the same stations{holds}."
-    return Rival(name, Plan(name, human, domain, assumed=False), about)
+    return Rival(Plan(name, human, domain, assumed=False), about)
