@@ -1,4 +1,4 @@
-"""Layouts from files with their domains, drawings of what must stay, and what a repair changed."""
+"""Layouts from files with their domains, tasks and costs of moves, and what a repair changed."""
 
 import contextlib
 import os.path
