@@ -316,14 +316,14 @@ def test_a_walk_through_a_maze_is_replayed_likewise(tmp_path, opened):
 
 def test_the_command_writes_the_page_films_and_facts(folder, capsys):
     (folder / "plan.txt").write_text("\n".join(ROWS))
-    line = "replay plan.txt --agents 8 --timesteps 20 --effort low --seed 4 --gif --last 6"
+    line = "replay plan.txt --agents 8 --timesteps 20 --effort low --seed 4 --gif a.GIF --last 6"
     assert run([*line.split(), "--mp4", "film.mp4", "--json", "facts.json"]) == 0
     said = capsys.readouterr().out.splitlines()
-    assert said[-4:] == ["plan_replay.html", "plan_replay.gif", "film.mp4", "facts.json"]
+    assert said[-4:] == ["plan_replay.html", "a.GIF", "film.mp4", "facts.json"]
     facts = json.loads((folder / "facts.json").read_text())
     again = qdenv.simulate("plan.txt", agents=8, timesteps=20, seeds=[4], effort="low")
     assert facts["throughput"] == pytest.approx(again["mean_of_all"], rel=1e-5)
-    assert (facts["page"], facts["gif"]) == ("plan_replay.html", "plan_replay.gif")
+    assert (facts["page"], facts["gif"]) == ("plan_replay.html", "a.GIF")
     assert facts["megabytes"] < 0.2 and facts["settings"]["seed"] == 4
 
 

@@ -116,7 +116,7 @@ def replay(
     for film in filter(None, drawn):
         from qdenv.view.film import save_film  # imports matplotlib
 
-        last, ending = films.last or motion.steps, film.path.suffix
+        last, ending = films.last or motion.steps, film.path.suffix.lower()
         if ending == ".gif" and not films.last and motion.headings is None:
             last = films.first + 100  # a GIF of robots grows by megabytes
         with Bar(f"drawing {film.path}") as bar:

@@ -81,7 +81,7 @@ def report_mazes(
         {"layouts": facts},
         command,
         mazes=mazes,
-        horizons=listed([f"{one['horizon']:,}" for one in mazes]),
+        horizons=listed(list(dict.fromkeys(f"{one['horizon']:,}" for one in mazes))),
         episodes=_EPISODES,
         seed=_SEED,
         arrivals=to_svg(figure, "arrivals"),

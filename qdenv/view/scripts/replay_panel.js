@@ -51,7 +51,8 @@ function showFollowed(film, agent, now) {
     waiting: `waiting for ${waited}${waited < WAITED_MOST ? "" : " or more"} timestep${waited === 1 ? "" : "s"}`,
   };
   const [tasks, since] = [tasksBy(film, agent, time), time - setOutAt(film, agent, time)];
-  const way = goal === film.idle ? "" : `; its goal: ${cellWords(film, goal)}, on the way for ${since}`;
+  const served = doing === "serving" ? "" : `, on the way for ${since}`;
+  const way = goal === film.idle ? "" : `; its goal: ${cellWords(film, goal)}${served}`;
   say("doing", `Robot ${agent}, ${words[doing]}, at ` +
     `${cellWords(film, film.position[time * film.agents + agent])}${way}. ` +
     `${tasks} task${tasks === 1 ? "" : "s"} finished.`);
