@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # (row, column) steps: right, left, 
 # Where waiting counts as a move it is number 0, for planners try it first.
 WAIT, RIGHT, LEFT, DOWN, UP = range(1 + len(MOVES))
 NUM_MOVES = 1 + len(MOVES)
+Cells = TypeVar("Cells", "jax.Array", np.ndarray)  # positions
 _RECTANGLE = re.compile(r"(\d{0,9}):(\d{0,9}),(\d{0,9}):(\d{0,9})")
 
 
@@ -64,6 +65,18 @@ def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
     """Cut the generated area out of a layout whose frame adds (rows, columns) to each side."""
     rows, cols = layout.shape[:2]
     return layout[margin[0] : rows - margin[0], margin[1] : cols - margin[1]]
+
+
+def pad(positions: Cells, cols: int, margin: int) -> Cells:
+    """Translate positions of a layout of `cols` columns into those with a margin (any shape)."""
+    row, column = positions // cols, positions % cols
+    return (row + margin) * (cols + 2 * margin) + column + margin
+
+
+def unpad(positions: Cells, cols: int, margin: int) -> Cells:
+    """Translate positions of a layout with a margin into those without, the inverse of `pad`."""
+    row, column = positions // (cols + 2 * margin), positions % (cols + 2 * margin)
+    return (row - margin) * cols + column - margin
 
 
 def parse(rows: Sequence[str], tiles: str, known: str = "") -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from qdenv.grid import parse
+from qdenv.grid import pad, parse
 from qdenv.score import entropy
 from qdenv.simulation.maze import world
 
@@ -34,7 +34,7 @@ def test_metrics_of_41_levels_are_exact():
 def replay(layout, goal, start, heading, actions):
     """Drive a recorded list of actions -> poses, views, success at every step."""
     kinds = world.canvas(layout, goal)
-    place = world.on_canvas(start, layout.shape[1])
+    place = pad(start, layout.shape[1], world.REACH)
 
     def body(pose, action):
         seen = world.view(kinds, pose.position, pose.heading)
@@ -67,7 +67,7 @@ def test_environment_agrees_with_3770_recorded_steps():
             padded,
         )
         place = trace["pos"][:steps].astype(np.int32) @ [size, 1]
-        expected = world.on_canvas(jnp.asarray(place), size)
+        expected = pad(jnp.asarray(place), size, world.REACH)
         np.testing.assert_array_equal(pose.position[:steps], expected)
         np.testing.assert_array_equal(pose.heading[:steps], trace["dir"][:steps])
         image = np.rint(np.asarray(world.image(seen[:steps])) * 10)
@@ -119,6 +119,6 @@ def test_view_drawn():
     # The agent stands at row 3, column 2 and looks up; beyond the map there is wall.
     layout = parse(["     ", " X   ", "   X ", "     "], world.TILES)
     kinds = world.canvas(jnp.asarray(layout), 4)
-    seen = world.view(kinds, world.on_canvas(3 * 5 + 2, 5), 3)
+    seen = world.view(kinds, pad(3 * 5 + 2, 5, world.REACH), 3)
     picture = ["".join(" XG"[kind] for kind in row) for row in np.asarray(seen).T]
     assert picture == ["XXXXX", "    G", " X   ", "   X ", "     "]

@@ -21,13 +21,14 @@ from pbs_oracle import (
     some_choice_works,
 )
 
+from qdenv.grid import pad
 from qdenv.simulation.mapf.host.distances import empty_fields
 from qdenv.simulation.mapf.host.run import run_to_the_end
 from qdenv.simulation.mapf.host.state import HostRun, RunSettings, make_run
 from qdenv.simulation.mapf.metrics import Block
 from qdenv.simulation.mapf.pbs.planner import collect_goals, pbs, solve
 from qdenv.simulation.mapf.pbs.workspace import Workspace, make_workspace
-from qdenv.simulation.mapf.planner import GoalTable, World, pad
+from qdenv.simulation.mapf.planner import GoalTable, World
 from qdenv.simulation.mapf.settings import PbsConfig
 
 pytestmark = pytest.mark.slow

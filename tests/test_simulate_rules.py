@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from qdenv.grid import pad, unpad
 from qdenv.simulation import __doc__ as rules
 from qdenv.simulation.mapf.agents import drive, place
 from qdenv.simulation.mapf.audit import check_moves, jammed_windows, replay_tasks
@@ -15,7 +16,7 @@ from qdenv.simulation.mapf.fleet import FleetConfig, prepare, run_settings
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.host.state import drive_window, make_run
 from qdenv.simulation.mapf.metrics import Block
-from qdenv.simulation.mapf.planner import pad, serve, unpad
+from qdenv.simulation.mapf.planner import serve
 from qdenv.types import TaskRule
 
 TILES = ".#12"

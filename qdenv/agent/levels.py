@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.settings import LevelConfig
-from qdenv.grid import count_neighbours, fixed_point, move_steps
+from qdenv.grid import count_neighbours, fixed_point, move_steps, pad, unpad
 from qdenv.simulation.maze import world
 from qdenv.simulation.maze.world import EMPTY, GOAL, REACH, WALL
 from qdenv.types import Array
@@ -91,9 +91,7 @@ def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     gap = _distances(kinds, one)
     two = jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
     length = jnp.where(useful[-1] > 0, gap[two], 0)
-    # From places on the canvas to cells of the layout.
-    row, col = jnp.divmod(jnp.sort(jnp.stack([one, two])), n + 2 * REACH)
-    start, goal = ((row - REACH) * n + col - REACH).astype(jnp.int32)
+    start, goal = unpad(jnp.sort(jnp.stack([one, two])), n, REACH).astype(jnp.int32)
     return world.Course(start, goal, length)
 
 
@@ -105,7 +103,7 @@ def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax
     broken = course.length < 1
     layout = jnp.where(broken, layout.at[0, :2].set(EMPTY), layout)
     start, goal = jnp.where(broken, 0, course.start), jnp.where(broken, 1, course.goal)
-    far, place = world.canvas(layout, goal), world.on_canvas(goal, n)
+    far, place = world.canvas(layout, goal), pad(goal, n, REACH)
     there = jnp.where(far == GOAL, EMPTY, far).reshape(-1)
     # A random pair lies in the component of the longest path, where a partner is sure to exist.
     reachable = jnp.cumsum((_distances(far, place) < _UNSEEN) & (there == EMPTY))
@@ -113,7 +111,7 @@ def _pair_up(key: jax.Array, layout: jax.Array, horizon: jax.Array, longest: jax
     one, two = jnp.searchsorted(reachable, rank, side="right")
     swap = ~longest & (one != two)
     place = jnp.where(swap, one, place)
-    begin = jnp.where(swap, two, world.on_canvas(start, n)).astype(jnp.int32)
+    begin = jnp.where(swap, two, pad(start, n, REACH)).astype(jnp.int32)
     kinds = there.at[place].set(GOAL).reshape(far.shape).astype(jnp.int8)
     return Level(kinds, begin, _distances(kinds, place).astype(jnp.int16), horizon, longest)
 

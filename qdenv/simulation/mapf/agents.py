@@ -5,11 +5,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.grid import inside_frame
+from qdenv.grid import inside_frame, pad
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.distances import Fields
 from qdenv.simulation.mapf.metrics import Orders
-from qdenv.simulation.mapf.planner import KNOWN, NEAR, World, draw_goals, pad, serve
+from qdenv.simulation.mapf.planner import KNOWN, NEAR, World, draw_goals, serve
 
 
 class FleetState(NamedTuple):

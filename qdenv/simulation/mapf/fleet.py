@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
-from qdenv.grid import NUM_MOVES, move_steps, of_tiles
+from qdenv.grid import NUM_MOVES, move_steps, of_tiles, pad
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.agents import FleetState, drive, hand_out, place
 from qdenv.simulation.mapf.distances import goal_costs, goal_distances, measure_fields, rows_of
@@ -39,7 +39,6 @@ from qdenv.simulation.mapf.planner import (
     distance_type,
     goal_table,
     next_kind,
-    pad,
 )
 from qdenv.simulation.mapf.settings import PLANNERS, FleetConfig, check_costs
 from qdenv.types import Array, InputError, TaskRule, Traffic

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.grid import inside_frame
-from qdenv.simulation.mapf.planner import NOBODY, World, unpad
+from qdenv.grid import inside_frame, unpad
+from qdenv.simulation.mapf.planner import NOBODY, World
 from qdenv.types import Traffic
 
 

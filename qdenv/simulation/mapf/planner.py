@@ -23,7 +23,6 @@ from qdenv.native import shared
 from qdenv.simulation.mapf import chance
 from qdenv.types import Array, TaskRule
 
-Cells = TypeVar("Cells", int, jax.Array, np.ndarray)
 Counts = TypeVar("Counts", int, jax.Array)
 
 KNOWN = 2  # goals that planners know of each agent: the current and the next
@@ -178,17 +177,3 @@ def serve(
 def next_kind(kind: Counts, cycle: int) -> Counts:
     """Return the kind of goal after one of `cycle` kinds; an idle agent remains idle."""
     return (kind + 1) % cycle * (kind < cycle) + cycle * (kind == cycle)
-
-
-@shared
-def pad(positions: Cells, cols: int, margin: int) -> Cells:
-    """Translate positions of the layout into positions of the padded grid (any shape)."""
-    row, column = positions // cols, positions % cols
-    return (row + margin) * (cols + 2 * margin) + column + margin
-
-
-@shared
-def unpad(positions: Cells, cols: int, margin: int) -> Cells:
-    """Translate positions of the padded grid into positions of the layout (any shape)."""
-    row, column = positions // (cols + 2 * margin), positions % (cols + 2 * margin)
-    return (row - margin) * cols + column - margin

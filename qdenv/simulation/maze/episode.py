@@ -10,16 +10,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
+from qdenv.grid import pad
 from qdenv.lazy import jax, jnp
 from qdenv.simulation.maze.policy import Memory, Tables, Weights, act, blank_memory, encode, recur
 from qdenv.simulation.maze.world import (
     FORWARD,
+    REACH,
     TURN_LEFT,
     Pose,
     canvas,
     image,
     longest_path,
-    on_canvas,
     step,
     view,
 )
@@ -191,7 +192,7 @@ def reference_episodes(
     are counted, and returned in the order of finishing ([episodes], without a usage map).
     """
     course = longest_path(layout)
-    kinds, start = canvas(layout, course.goal), on_canvas(course.start, layout.shape[1])
+    kinds, start = canvas(layout, course.goal), pad(course.start, layout.shape[1], REACH)
     turn_key, key = jax.random.split(key)
     # First heading of each environment's n-th episode.
     headings = jax.random.randint(turn_key, (episodes + 1,), 0, 4)

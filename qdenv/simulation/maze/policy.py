@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdenv.grid import pad, unpad
 from qdenv.io.arrays import Column, read_arrays
 from qdenv.lazy import jax, jnp
 from qdenv.simulation.maze import world
@@ -186,12 +187,11 @@ def prepare(weights: Weights, layout: Array) -> Tables:
     kinds = world.canvas(layout, course.goal)
     states = jnp.arange(4 * layout.size, dtype=jnp.int32)
     cell, heading = states // 4, states % 4
-    place = world.on_canvas(cell, width)
+    place = pad(cell, width, world.REACH)
     pose, wins = jax.vmap(world.step, (None, 0, None))(
         kinds, world.Pose(place, heading), world.FORWARD
     )
-    strides = jnp.asarray(world.HEADINGS @ np.array([width, 1]), jnp.int32)
-    ahead = jnp.where(pose.position != place, cell + strides[heading], cell) * 4 + heading
+    ahead = unpad(pose.position, width, world.REACH) * 4 + heading
     views = world.image(jax.vmap(world.view, (None, 0, 0))(kinds, place, heading))
     gates = encode(weights, views, jax.nn.one_hot(heading, 4))
     return Tables(jnp.asarray(layout), course, ahead, wins, gates)

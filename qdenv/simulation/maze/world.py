@@ -102,11 +102,6 @@ def image(kinds: Array) -> jax.Array:
     return (jnp.asarray(_CODES) / 10)[kinds.astype(jnp.int32)]
 
 
-def on_canvas(position: jax.Array, width: int) -> jax.Array:
-    """Turn a cell of a layout `width` wide into a flat index of its canvas."""
-    return (position // width + REACH) * (width + 2 * REACH) + position % width + REACH
-
-
 def step(kinds: Array, pose: Pose, action: Array | int) -> tuple[Pose, jax.Array]:
     """Act once on a `canvas`; `pose.position` is a flat index of it.
 

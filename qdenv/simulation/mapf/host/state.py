@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.grid import NUM_MOVES, move_steps
+from qdenv.grid import NUM_MOVES, move_steps, unpad
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.metrics import Block
-from qdenv.simulation.mapf.planner import KNOWN, NEAR, NOBODY, World, next_kind, serve, unpad
+from qdenv.simulation.mapf.planner import KNOWN, NEAR, NOBODY, World, next_kind, serve
 
 # Orders of agents are sorted as single numbers: what ranks an agent (below 2^38), then the agent.
 AGENT_BITS = 24
