@@ -121,8 +121,8 @@ def hand_out(
         for ahead, one in enumerate((chance.FIRST_GOAL, chance.SECOND_GOAL))
     ]
     width, place = world.traversable.shape[1], world.goals.cells[fleet.goal[0]]
-    down, right = jnp.divmod(place, width), jnp.divmod(fleet.position, width)
-    near = abs(down[0] - right[0]) + abs(down[1] - right[1]) <= NEAR
+    there, here = jnp.divmod(place, width), jnp.divmod(fleet.position, width)
+    near = abs(there[0] - here[0]) + abs(there[1] - here[1]) <= NEAR
     waits = jnp.where(idle & near, _slot_at(world, fleet.position), fleet.goal)
     return fleet._replace(
         kind=kind,

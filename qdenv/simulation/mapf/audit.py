@@ -57,8 +57,7 @@ def check_run(layout: np.ndarray, rule: TaskRule, run: Trajectories) -> tuple[li
     """
     inside = ((run.cells >= 0) & (run.cells < layout.shape)).all(axis=-1)
     positions = np.where(inside, run.cells @ [layout.shape[1], 1], -1)
-    broken, finished = check_moves(layout, rule, positions), 0
-    done: set[int] = set()
+    broken, done = check_moves(layout, rule, positions), set()
     for time, robot, place, task, last in sorted(run.errands):
         what = f"t={time}: robot {robot} finishes task {task}"
         if not (0 <= time < len(run.cells) and 0 <= robot < run.cells.shape[1]):
@@ -68,28 +67,26 @@ def check_run(layout: np.ndarray, rule: TaskRule, run: Trajectories) -> tuple[li
             broken.append(f"{what} at {here}, and its goal is {place}")
         elif last and task in done:
             broken.append(f"{what} for a second time")
-        else:
-            finished += last
-            done |= {task} if last else set()
-    if run.finished not in (None, finished):
-        broken.append(f"the file states {run.finished} finished tasks, its events show {finished}")
-    return broken, finished
+        elif last:
+            done.add(task)
+    if run.finished not in (None, len(done)):
+        broken.append(f"the file states {run.finished} finished tasks, its events show {len(done)}")
+    return broken, len(done)
 
 
 def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> list[str]:
     """Check cells, steps, vertex conflicts and swaps (positions int [t + 1, A])."""
-    height, width = layout.shape
+    cells, width = layout.size, layout.shape[1]
     free = np.isin(layout, [rule.tiles.index(tile) for tile in rule.traversable]).reshape(-1)
 
     def at(cell: int) -> tuple[int, int]:  # row and column
         return int(cell) // width, int(cell) % width
 
-    outside = (positions < 0) | (positions >= height * width)
+    outside = (positions < 0) | (positions >= cells)
     if outside.any():
         return [_at("is outside the layout", outside)]
     broken = []
-    if not free[positions].all():
-        time, agent = np.argwhere(~free[positions])[0]
+    for time, agent in np.argwhere(~free[positions])[:1]:
         here = at(positions[time, agent])
         broken.append(f"t={time}: agent {agent} stands on an obstacle at {here}")
     ordered = np.sort(positions, axis=1)
@@ -99,12 +96,10 @@ def check_moves(layout: np.ndarray, rule: TaskRule, positions: np.ndarray) -> li
         names = " and ".join(map(str, both))
         broken.append(f"t={time}: two agents on cell {at(ordered[time, index])}: {names}")
     before, after = positions[:-1], positions[1:]
-    rows = np.abs(before // width - after // width)
-    columns = np.abs(before % width - after % width)
-    if (rows + columns > 1).any():
-        broken.append(_at("makes more than one step at once", rows + columns > 1))
-    moved = before != after
-    cells = height * width
+    steps = np.abs(before // width - after // width) + np.abs(before % width - after % width)
+    if (steps > 1).any():
+        broken.append(_at("makes more than one step at once", steps > 1))
+    moved = steps > 0
     time = np.broadcast_to(np.arange(len(before))[:, None], before.shape)[moved]
     there = (time * cells + before[moved]) * cells + after[moved]
     back = (time * cells + after[moved]) * cells + before[moved]

@@ -1,6 +1,6 @@
 """One run in compiled host code: its records, and how one window is driven.
 
-`fleet` and `metrics` agent by agent instead of array by array, number for number.
+`agents` and `metrics` agent by agent instead of array by array, number for number.
 """
 
 from typing import Any, NamedTuple
