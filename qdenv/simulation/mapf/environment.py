@@ -141,8 +141,8 @@ class Environment:
         `Timestep` without rewards.
         """
         state = self._begin(chance.seed_of(key), jnp.asarray(layout, jnp.int32))
-        nothing, last = jnp.zeros((self.agents,), jnp.float32), state.time >= self.timesteps
-        return state, Timestep(self._observe(state), nothing, ~self._everyone, last)
+        nothing = jnp.zeros((self.agents,), jnp.float32)
+        return state, Timestep(self._observe(state), nothing, ~self._everyone, jnp.bool_(False))
 
     def _begin(self, seed: jax.Array, layout: jax.Array) -> EnvironmentState:
         world = self._world(layout)

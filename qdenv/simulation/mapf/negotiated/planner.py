@@ -44,8 +44,7 @@ def negotiated(config: NegotiatedConfig) -> Planner:
             still = jnp.broadcast_to(near.position, near.previous.shape)
             resort = still if waits else rollout(world, near, horizon, key)
             conflicts = path_conflicts(result.paths[: horizon + 1], resort[: horizon + 1])
-            conflicts = conflicts & ~jnp.eye(agents, dtype=bool)
-            conflicts = conflicts & state.active[:, None] & state.active[None, :]
+            conflicts = conflicts & state.active[:, None]  # padding never falls back
             falls = fixed_point(
                 lambda falls: falls | (conflicts & falls[None, :]).any(1), ~result.is_reserved
             )
