@@ -43,7 +43,7 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     draws = jax.random.uniform(key, (n * n + _LONGEST_PERIOD + 6,))
     noise, pattern = draws[: n * n].reshape(n, n), draws[n * n : -6]
     amount, kind, rough, period, down, right = draws[-6:]
-    row, col = jnp.meshgrid(jnp.arange(n), jnp.arange(n), indexing="ij")
+    row, col = jnp.indices((n, n))
     period = 3 + (period * (_LONGEST_PERIOD - 2)).astype(jnp.int32)
     down, right = (down * period).astype(jnp.int32), (right * period).astype(jnp.int32)
     texture = pattern[(down * row + right * col) % period] + (0.02 + 0.6 * rough) * noise
@@ -53,8 +53,8 @@ def draw_layout(key: jax.Array, config: LevelConfig, side: Array) -> jax.Array:
     count = (amount * (most + 1)).astype(jnp.int32)
     # Walls where the field is largest; the threshold lies above all of it for a count of 0.
     thresholds = jnp.append(jnp.sort(field.reshape(-1)), jnp.inf)
-    layout = (field >= thresholds[field.size - count]).astype(jnp.int8)
-    return jnp.where(inside, layout, WALL).astype(jnp.int8)
+    is_wall = field >= thresholds[field.size - count]
+    return (is_wall | ~inside).astype(jnp.int8)
 
 
 def _distances(kinds: jax.Array, goal: jax.Array) -> jax.Array:
@@ -136,7 +136,7 @@ def vary_level(key: jax.Array, level: Level, config: LevelConfig) -> Level:
     """
     keys, n = jax.random.split(key, 2), config.size
     inner = level.kinds[REACH : REACH + n, REACH : REACH + n]
-    layout = jnp.where(inner == WALL, WALL, EMPTY).astype(jnp.int8).reshape(-1)
+    layout = (inner == WALL).astype(jnp.int8).reshape(-1)
     cells = jax.random.randint(keys[0], (config.edits,), 0, n * n)
     layout = layout.at[cells].set(1 - layout[cells]).reshape(n, n)
     return _pair_up(keys[1], layout, level.horizon, level.longest)

@@ -161,8 +161,7 @@ def update(state: State, config: TrainConfig) -> tuple[State, dict[str, jax.Arra
 
 def save_weights(weights: Weights, path: Path) -> None:
     """Write an agent that `policy.load_weights` reads; InputError where that is impossible."""
-    named = zip(Weights._fields, weights, strict=True)
-    arrays: dict[str, np.ndarray] = {name: np.asarray(array, np.float32) for name, array in named}
+    arrays = {name: np.asarray(one, np.float32) for name, one in weights._asdict().items()}
     write_arrays(path, arrays, compressed=True)
 
 
@@ -188,7 +187,7 @@ def _exam(config: TrainConfig) -> _Examine:
         count = walls * size * size // 256
         mazes = draw_mazes(12345 + count, config.exam, (size, size), count)
         batches[f"exam_{walls}"] = np.array([maze.layout for maze in mazes])
-    horizon = default_horizon(next(iter(batches.values()))[0])
+    horizon = default_horizon(np.zeros((size, size)))
 
     def examine(weights: Weights) -> dict[str, float]:
         key = jax.random.key(99)

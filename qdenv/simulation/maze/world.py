@@ -91,7 +91,7 @@ def view(kinds: Array, place: Array, heading: Array) -> jax.Array:
     ahead = REACH - np.arange(5)[None, None, :, None]
     right = np.arange(5)[None, :, None, None] - 2
     facing = HEADINGS[:, None, None, :]
-    sideways = HEADINGS[(np.arange(4) + 1) % 4][:, None, None, :]
+    sideways = np.roll(HEADINGS, -1, axis=0)[:, None, None, :]
     step = ahead * facing + right * sideways  # (rows, columns) by heading, x and y
     offsets = jnp.asarray((step[..., 0] * kinds.shape[1] + step[..., 1]).astype(np.int32))
     return jnp.asarray(kinds).reshape(-1)[place + offsets[heading]]
