@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qdenv.grid import of_tiles
+from qdenv.grid import DOWN, LEFT, RIGHT, UP, of_tiles
 from qdenv.native import shared
 from qdenv.simulation.mapf import chance
 from qdenv.types import Array, TaskRule
@@ -177,3 +177,10 @@ def serve(
 def next_kind(kind: Counts, cycle: int) -> Counts:
     """Return the kind of goal after one of `cycle` kinds; an idle agent remains idle."""
     return (kind + 1) % cycle * (kind < cycle) + cycle * (kind == cycle)
+
+
+@shared
+def move_of(change: Counts, width: int) -> Counts:
+    """Number the move that changes a position by `change` on a padded grid of `width` columns."""
+    across = (change == 1) * RIGHT + (change == -1) * LEFT
+    return across + (change == width) * DOWN + (change == -width) * UP

@@ -37,13 +37,6 @@ Value = TypeVar("Value", int, jax.Array)
 
 
 @shared
-def move_plane(change: Value, width: int) -> Value:
-    """Number the move that changes a position by `change` on a grid of `width` columns."""
-    across = (change == 1) * RIGHT + (change == -1) * LEFT
-    return across + (change == width) * DOWN + (change == -width) * UP
-
-
-@shared
 def find_in_window(cell: Value, position: Value, width: int, window: int) -> tuple[Value, Value]:
     """Find row and column of a cell in the window of an agent at `position`."""
     row = cell // width - position // width + window

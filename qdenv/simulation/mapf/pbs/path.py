@@ -15,7 +15,7 @@ A path ends with the window, or where the last known goal is served: there the a
 in the published planner, but never within the timesteps that are driven.
 """
 
-from qdenv.grid import DOWN, LEFT, NUM_MOVES, RIGHT, UP
+from qdenv.grid import NUM_MOVES
 from qdenv.native import formula, inlined, kernel
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.state import GridMap, sift
@@ -27,6 +27,7 @@ from qdenv.simulation.mapf.pbs.workspace import (
     JointPlan,
     PathSearch,
 )
+from qdenv.simulation.mapf.planner import move_of
 
 NO_PATH = -1
 _MOVE_BITS = 5  # an agent is here, and leaves right, left, down, up: one bit each
@@ -52,10 +53,7 @@ def reserve_path(search: PathSearch, plan: JointPlan, agent: int, width: int) ->
     last, cell = plan.path[agent].end, plan.cell[0, agent]
     for t in range(last):
         after = plan.cell[t + 1, agent]
-        step = after - cell
-        leaving = ((step == 1) << RIGHT) | ((step == -1) << LEFT)
-        leaving |= ((step == width) << DOWN) | ((step == -width) << UP)
-        reserve(search, t, cell, HERE | leaving)
+        reserve(search, t, cell, HERE | (1 << move_of(after - cell, width)))
         cell = after
     reserve(search, last, cell, HERE)
 

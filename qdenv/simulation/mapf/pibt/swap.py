@@ -12,7 +12,7 @@ from qdenv.grid import NUM_MOVES
 from qdenv.native import inlined, kernel
 from qdenv.simulation.mapf.host.distances import DistanceFields, distance
 from qdenv.simulation.mapf.host.state import HostRun
-from qdenv.simulation.mapf.planner import NOBODY
+from qdenv.simulation.mapf.planner import NOBODY, move_of
 
 _Rollout = Any  # `numba.Rollout`, which imports this file
 
@@ -35,11 +35,7 @@ def pull(run: HostRun, fields: DistanceFields, rollout: _Rollout, agent: int, t:
         return
     if run.grid.costs.size > 0:  # not against a one-way lane
         begin = rollout.path[partner, t]
-        allowed = False
-        for move in range(1, NUM_MOVES):
-            leads = begin + run.grid.steps[move] == here
-            allowed = allowed or (leads and run.grid.costs[move, begin] > 0)
-        if not allowed:
+        if run.grid.costs[move_of(here - begin, run.grid.width), begin] == 0:
             return
     ways, low, high = rollout.candidates[agent], 0, rollout.num_allowed[agent] - 1
     while low < high:

@@ -28,6 +28,7 @@ from qdenv.simulation.mapf.negotiated.numba.search import (
 )
 from qdenv.simulation.mapf.negotiated.numba.states import SearchArrays, make_arrays
 from qdenv.simulation.mapf.negotiated.settings import MAX_SERVICE, NegotiatedConfig
+from qdenv.simulation.mapf.planner import move_of
 
 
 class HostNegotiation(NamedTuple):
@@ -206,7 +207,7 @@ def _evict(plan: HostNegotiation, agent: int, width: int) -> None:
         before, after = path[agent, t], path[agent, t + 1]
         for swap in range(2):
             # Who is in the cell at t + 1; who comes from there, against this step.
-            plane = AGAINST[rules.move_plane(after - before, width)] if swap else 0
+            plane = AGAINST[move_of(after - before, width)] if swap else 0
             if (plane or not swap) and word[after] >> (plane + t) & 1:
                 met = owner[after, t + 1 - swap]
                 if plan.reservations.steps[met] == window:  # else it never left the queue

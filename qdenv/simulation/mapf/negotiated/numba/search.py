@@ -35,6 +35,7 @@ from qdenv.simulation.mapf.negotiated.numba.states import (
     unpack,
 )
 from qdenv.simulation.mapf.negotiated.settings import COST_UNIT
+from qdenv.simulation.mapf.planner import move_of
 
 PLANE = 12  # bits of a plane: a window of at most ten steps, and five planes below the sign
 WALL = -1 << 63  # the sign: a wall
@@ -74,7 +75,7 @@ def reserve(reservations: ReservationWords, agent: int, steps: int, width: int) 
     for t in range(steps + reservations.steps[agent]):
         before, after = path[agent, t], path[agent, t + 1]
         word[after] ^= 1 << t
-        plane = rules.move_plane(after - before, width)
+        plane = move_of(after - before, width)
         if plane:
             word[before] ^= 1 << (PLANE * plane + t)
     reservations.steps[agent] = steps

@@ -23,7 +23,7 @@ from qdenv.simulation.mapf.negotiated import rules
 from qdenv.simulation.mapf.negotiated.settings import NegotiatedConfig
 from qdenv.simulation.mapf.negotiated.xla.search import find_paths
 from qdenv.simulation.mapf.negotiated.xla.window import STRIDE, gather
-from qdenv.simulation.mapf.planner import NOBODY, AgentState, World
+from qdenv.simulation.mapf.planner import NOBODY, AgentState, World, move_of
 
 _WORD = 32
 _COPIES = 3  # words that hold one cell
@@ -54,7 +54,7 @@ def add_paths(
     """
     rows, width = shape
     words = -(-width // STRIDE)
-    plane = rules.move_plane(paths[1:] - paths[:-1], width)
+    plane = move_of(paths[1:] - paths[:-1], width)
     time = jnp.arange(len(plane))[:, None]
 
     def updates(cells: jax.Array, plane: jax.Array, mask: jax.Array) -> tuple[jax.Array, jax.Array]:
