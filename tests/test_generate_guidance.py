@@ -24,9 +24,10 @@ from qdenv.pipeline import PipelinedEvaluator, evaluate, make_pipeline
 from qdenv.run.evaluate import Threads
 from qdenv.settings import EvaluationConfig
 from qdenv.simulation.mapf import fleet
+from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
 from qdenv.study.engine import run_seeds
-from qdenv.types import Floor, InputError
+from qdenv.types import Floor, InputError, TaskRule
 
 pytestmark = pytest.mark.slow
 
@@ -176,6 +177,14 @@ def test_moves_are_counted_as_the_recording_shows_them():
         expected[steps.index(after - before), before] += 1
     np.testing.assert_array_equal(counts.reshape(5, -1), expected)
     assert counts.sum() == 12 * 60 and run.throughput > 0
+
+
+def test_moves_along_one_column_lead_up_and_down():
+    tasks = TaskRule(".12", ".12", tuple(tile_goal(goal, ".12") for goal in "12"))
+    config = FleetConfig(1, 20, 1, 1, planner=PibtConfig("xla"), stop_when_congested=False)
+    world = fleet.prepare(parse(["1", ".", "2"], ".12"), tasks, config)
+    moves = fleet.count_moves(world, jax.random.key(0), config).sum((1, 2))
+    assert moves[RIGHT] == moves[LEFT] == 0 and moves[DOWN] > 3 and moves[UP] > 3
 
 
 def test_an_update_reads_the_moves_of_a_simulation_under_the_costs_before():

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 
-from qdenv.grid import NUM_MOVES, move_steps, of_tiles, pad
+from qdenv.grid import NUM_MOVES, of_tiles, pad
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.agents import FleetState, drive, hand_out, place
 from qdenv.simulation.mapf.distances import goal_costs, goal_distances, measure_fields, rows_of
@@ -38,6 +38,7 @@ from qdenv.simulation.mapf.planner import (
     World,
     distance_type,
     goal_table,
+    move_of,
     next_kind,
 )
 from qdenv.simulation.mapf.settings import PLANNERS, FleetConfig, check_costs
@@ -284,11 +285,12 @@ def count_moves(world: World, key: jax.Array, config: FleetConfig) -> jax.Array:
     """Simulate once and count how often each move was made (int32 [5, H, W], waiting first)."""
     traffic, recording = record(world, key, config)
     rows, cols = (side - 2 * world.margin for side in world.traversable.shape)
-    before, after = recording.positions[:-1], recording.positions[1:]
-    is_move = jnp.asarray(move_steps(cols))[:, None, None] == (after - before)[None]
+    # Beside a margin: in a layout of one column a step down is one to the right, too.
+    cells = pad(recording.positions, cols, 1)
+    move = move_of(cells[1:] - cells[:-1], cols + 2)
     driven = (jnp.arange(config.timesteps) < traffic.end_timestep)[:, None] & recording.active[None]
     counts = jnp.zeros((NUM_MOVES, rows * cols), jnp.int32)
-    return counts.at[is_move.argmax(axis=0), before].add(driven).reshape(NUM_MOVES, rows, cols)
+    return counts.at[move, recording.positions[:-1]].add(driven).reshape(NUM_MOVES, rows, cols)
 
 
 def compile_runs(
