@@ -3,6 +3,9 @@
 import json
 import os
 import shutil
+import struct
+import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -216,6 +219,7 @@ BAD = {
     "a.json": [
         ('{"mapFile": 1}', "names its mapFile"),
         ('{"layout": [".."], "tasks": 1}', "tasks"),
+        ('{"layout": [".."], "facts": 1}', "facts: cannot be read"),
     ],
 }
 
@@ -228,6 +232,35 @@ def test_wrong_files_are_refused_in_one_line(name, tmp_path):
         with pytest.raises(InputError, match=reason) as error:
             read_drawing(path)
         assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["", "/", "m" * 300])
+def test_a_scenario_without_a_name_of_a_map_is_refused(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.scen").write_text(f"version 1\n0\t{name}\t2\t2\t0\t0\t1\t1\t1\n")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_drawing("a.scen")
+
+
+@pytest.mark.parametrize("facts", [1, "x", [1]])
+def test_facts_of_a_problem_are_an_object(facts, tmp_path):
+    for ending, text in ((".map", "type octile\nmap\n..\n"), (".agents", "0"), (".tasks", "0")):
+        (tmp_path / f"a{ending}").write_text(text)
+    names = {f"{name}File": f"a.{name}s" for name in ("agent", "task")}
+    content = {"mapFile": "a.map", **names, "facts": facts}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="facts: cannot be read"):
+        read_drawing(tmp_path / "a.json")
+
+
+def test_a_picture_that_is_too_large_is_refused_without_a_warning(tmp_path, recwarn):
+    head = b"IHDR" + struct.pack(">IIBBBBB", 10_000, 10_000, 8, 2, 0, 0, 0)
+    chunks = [head, b"IDAT", b"IEND"]
+    parts = [struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks]
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
+    with pytest.raises(InputError, match="more than 1000 rows"):
+        read_drawing(tmp_path / "a.png")
+    assert not recwarn.list
 
 
 def test_every_ending_has_a_format_that_reads_or_writes_it():

@@ -121,6 +121,12 @@ LINES = [TABLE_HEAD, *(f"{i},.,0,{i},1,inf,1,inf,1" for i in range(3))]
         ("g.csv", "\n".join([*LINES, "3,.,0,2,1,inf,1,inf,1"]), "not one line, with one tile"),
         ("g.csv", "\n".join([*LINES, "3,.e,0,3,1,inf,1,inf,1"]), "not one line, with one tile"),
         ("g.csv", TABLE_HEAD, "not one line"),
+        ("g.csv", f"{TABLE_HEAD}\n0,.,-2,-2,1,1,1,1,1", "not one line"),
+        (
+            "g.grid",
+            "\n".join(["Grid size (x, y)", "1,1", TABLE_HEAD, "0,Travel,0,x,1,1,1,1,1"]),
+            "line 4 is not a cell",
+        ),
     ],
 )
 def test_bad_guidance_is_refused_in_one_line(name, content, reason, tmp_path):

@@ -160,6 +160,7 @@ def test_a_path_of_2026_takes_its_counter_for_a_step_or_a_turn(tmp_path):
         ("a.csv", "0 0 0 0\n2 0 0 0\n", "robot 0 has no place at timestep 1: give it one"),
         ("a.csv", "0 5 0 0\n0 5 1 0\n", "robot 5 has 2 places at timestep 0"),
         ("a.csv", "0 0 0 0\n999999999999 0 0 0\n", "more than 20,000,000 robots times timesteps"),
+        ("a.csv", f"{-(2**63)} 0 0 0\n{2**63 - 5} 0 0 0\n", "more than 20,000,000 robots times"),
         ("a.csv", f"0 0 0 {10**30}\n", "is not a line of"),
         ("a.json", "{}", "actionModel: is missing"),
         ("a.json", "[", "not a JSON file"),

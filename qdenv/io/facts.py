@@ -71,7 +71,7 @@ def make_facts(content: Mapping[str, Any], source: Path) -> PlanFacts:
         if facts.shelves is not None:
             read_range("shelves", facts.shelves)
         for sign, tile in facts.legend.items():
-            if len(sign) != 1 or not isinstance(tile, str) or len(tile) != 1:
+            if len(sign) != 1 or len(tile) != 1:
                 raise InputError(f"legend: {sign} = {tile!r}: one sign stands for one tile")
     return facts
 

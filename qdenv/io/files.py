@@ -12,6 +12,7 @@ import re
 import stat
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
@@ -224,9 +225,14 @@ def damaged(source: Path | str, reason: object) -> DamagedError:
 
 @contextlib.contextmanager
 def parsing(path: Path, what: str) -> Iterator[None]:
-    """Turn any error of a library that reads `path` into DamagedError: not `what`."""
+    """Turn any error of a library that reads `path` into DamagedError: not `what`.
+
+    Its warnings, as of styles that do not matter here, are not shown.
+    """
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     except InputError:
         raise
     except Exception as error:

@@ -59,13 +59,14 @@ def weights_of(costs: np.ndarray) -> list[float]:
     return [*waits.tolist(), *np.where(np.isinf(ways), _NOT_ALLOWED, ways).tolist()]
 
 
-def read_table(path: Path, lines: Sequence[str]) -> tuple[list[str], list[float]]:
-    """Read the lines of a CSV file with `TABLE_HEAD`: rows of symbols, and weights.
+def read_table(path: Path, lines: Sequence[str], above: int) -> tuple[list[str], list[float]]:
+    """Read the lines below the head of a CSV file (`TABLE_HEAD`): rows of symbols, and weights.
 
-    Raises DamagedError, which names the file `path`, if they are not one line for each cell.
+    Raises DamagedError, which names the file `path` and a line, with `above` lines before these, if
+    they are not one line for each cell.
     """
     symbols, cells, values = [], [], []
-    reader = csv.reader(lines[1:], strict=True)
+    reader = csv.reader(lines, strict=True)
     try:
         for _, symbol, row, column, *prices in reader:
             symbols.append(symbol)
@@ -74,9 +75,9 @@ def read_table(path: Path, lines: Sequence[str]) -> tuple[list[str], list[float]
         # A line too short or too long leaves no array.
         table = np.array(values, float).reshape(len(cells), NUM_MOVES)
     except (ValueError, csv.Error) as error:
-        line = f"line {1 + reader.line_num} is not a cell with costs: fill the columns of the head"
-        raise damaged(path, line) from error
-    rows, cols = (1 + max(axis) for axis in zip(*cells, strict=True)) if cells else (0, 0)
+        line = f"line {above + reader.line_num} is not a cell with costs"
+        raise damaged(path, f"{line}: fill the columns of the head") from error
+    rows, cols = (1 + max(0, *axis) for axis in zip(*cells, strict=True)) if cells else (0, 0)
     complete = rows * cols == len(cells) and sorted(cells) == list(np.ndindex(rows, cols))
     if not complete or {*map(len, symbols)} != {1}:
         raise damaged(path, f"not one line, with one tile, for each cell of {rows} x {cols}")

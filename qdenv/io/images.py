@@ -2,7 +2,6 @@
 
 import io
 import json
-import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -98,12 +97,10 @@ def read_xlsx(path: Path) -> Drawing:
             sheets = [one for one in archive.namelist() if one.endswith("/sheet1.xml")]
             if any(b"<mergeCell " in archive.read(one) for one in sheets):
                 raise damaged(path, "merged cells hold one tile: split them, and fill each cell")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of styles and extensions that do not matter here
-            book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
-            sheet, *others = book.worksheets
-            values = sheet.iter_rows(max_row=MAX_SIDE + 1, max_col=MAX_SIDE + 1, values_only=True)
-            table = [["" if one is None else str(one) for one in line] for line in values]
+        book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
+        sheet, *others = book.worksheets
+        values = sheet.iter_rows(max_row=MAX_SIDE + 1, max_col=MAX_SIDE + 1, values_only=True)
+        table = [["" if one is None else str(one) for one in line] for line in values]
     # Sheets remember empty cells that once had a colour.
     while table and not any(table[-1]):
         table.pop()

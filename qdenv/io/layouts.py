@@ -17,14 +17,14 @@ import numpy as np
 
 from qdenv.grid import draw, parse
 from qdenv.io.facts import FENCE, facts_beside, make_facts
-from qdenv.io.files import damaged, parsing, read_text, write_atomically, write_json
+from qdenv.io.files import MEGABYTE, damaged, parsing, read_text, write_atomically, write_json
 from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, holds, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
 from qdenv.types import Array, DamagedError, InputError, Tile, about
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; `io.formats` has the others
-_MAX_BYTES = 32 * 2**20
+_MAX_BYTES = 32 * MEGABYTE
 MAX_SIDE = 1000  # rows or columns; nothing larger was tried
 _MAX_LINES = 20 * MAX_SIDE  # blank ones around a drawing with them
 _DELIMITERS = ";,\t"
@@ -55,13 +55,12 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
     path, reader = Path(path), find_reader(Path(path), form)
     try:
         drawing: Drawing = reader(path)
+        own = structured(drawing.details.get("facts", {}), dict[str, Any], f"{path}, facts")
     except DamagedError as error:
         if path.suffix.lower() in READ_ENDINGS:
             raise
         raise InputError(f"{error}: layouts end in {', '.join(READ_ENDINGS)}") from error
-    # A file's own facts count more.
-    own = dict(drawing.details.get("facts", {}))
-    facts = facts_beside(path) | own
+    facts = facts_beside(path) | own  # a file's own facts count more
     if facts:
         stated = make_facts(facts, path if own else path.with_suffix(".toml"))
         legend = str.maketrans(dict(stated.legend))
@@ -133,7 +132,6 @@ def read_json_rows(path: Path) -> Drawing:
     keep = tuple(drawings.get("keep", ()))
     starts = structured(content.get("starts", []), tuple[int, ...], f"{path}, starts")
     tasks = structured(content.get("tasks", []), tuple[tuple[int, ...], ...], f"{path}, tasks")
-    structured(content.get("facts", {}), dict[str, Any], f"{path}, facts")
     if not all(tasks):
         raise damaged(path, "a task has no cell")
     own = ("n_row", "n_col", "layout", "weights", "domain", "keep", "starts", "tasks")
@@ -145,7 +143,7 @@ def read_csv_rows(path: Path) -> Drawing:
     """Join a table's cells, one tile each; lines of one cell are rows as they are."""
     lines = read_lines(path, "CSV")
     if lines and lines[0] == TABLE_HEAD:
-        rows, weights = read_table(path, lines)
+        rows, weights = read_table(path, lines[1:], 1)
         return Drawing(rows, weights=weights)
     table = split_cells(path, lines)
     if all(len(line) == 1 for line in table):

@@ -13,6 +13,7 @@ their names; sorting centres have the name of a station, too.
 """
 
 import json
+import os.path
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,7 +24,7 @@ import numpy as np
 from qdenv.guidance import existing_moves
 from qdenv.io.files import damaged, parsing, read_text, write_atomically
 from qdenv.io.formats import redraw
-from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, write_table
+from qdenv.io.guidance import costs_of, read_table, write_table
 from qdenv.io.layouts import Drawing, check_size, free_cells, read_lines
 from qdenv.io.records import parse_json, structured
 from qdenv.lazy import ndimage
@@ -98,7 +99,7 @@ def read_scen(path: Path) -> Drawing:
         raise damaged(path, f"starts on {len(names)} maps: only those of one map are read")
     below = path.parent / names.pop()
     # Scenarios name maps by their place in the benchmarks; people have them beside the scenario.
-    drawing = read_map(below if below.is_file() else path.with_name(below.name))
+    drawing = read_map(below if os.path.isfile(below) else path.parent / below.name)
     with parsing(path, "a whole number"):
         points = np.array([[int(number) for number in line[2:8]] for line in fields])
     cols = len(drawing.rows[0]) if drawing.rows else 0
@@ -262,7 +263,7 @@ def _read_grid(path: Path, lines: list[str]) -> tuple[list[str], list[float]]:
     table = [[cell[0], _TYPES[cell[1]], *cell[2 + station :]] for cell in cells]
     # An obstacle is not waited on, whatever is written there.
     table = [[*cell[:-1], "inf"] if cell[1] == "@" else cell for cell in table]
-    return read_table(path, [TABLE_HEAD, *(",".join(cell) for cell in table)])
+    return read_table(path, [",".join(cell) for cell in table], 3)
 
 
 def write_rhcr(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> list[str]:

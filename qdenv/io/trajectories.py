@@ -167,7 +167,7 @@ def _read_lines(path: str | Path) -> Trajectories:
     times, robots = columns["timestep"] - columns["timestep"].min(), columns["robot"]
     known, agent = np.unique(robots, return_inverse=True)
     shape = (int(times.max()) + 1, len(known))
-    if shape[0] * shape[1] > _MOST or times.max() < 0:
+    if shape[0] * shape[1] > _MOST or times.min() < 0:  # a difference beyond 64 bits
         raise damaged(path, f"more than {_MOST:,} robots times timesteps")
     seen = np.zeros(shape, int)
     np.add.at(seen, (times, agent), 1)
