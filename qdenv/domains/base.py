@@ -337,22 +337,20 @@ def make_domain(config: Any) -> Domain:
             return (of_tiles(layout, racks, domain.tiles) != was).sum() / 2
 
         domain = replace(domain, measures=(Measure("racks moved", 0, most, most, moved),))
-    own, names = domain.rules, domain.names
-    if own is not None:
-        domain = replace(domain, rules=lambda: own()._replace(names=names))
-    if not config.keep:
-        return domain
-    check_shape(config.keep, domain.shape)
-    known = f"draw {FREE!r} or one of {' '.join(map(repr, domain.tiles))}"
-    # The tile that each cell must hold, -1 for any.
-    locked = parse(config.keep, FREE + domain.tiles, known) - 1
-    frame, make_rules = domain.frame, domain.rules
-    domain = replace(domain, frame=lambda area: jnp.where(locked >= 0, locked, frame(area)))
+    frame, make_rules, names = domain.frame, domain.rules, domain.names
+    if config.keep:
+        check_shape(config.keep, domain.shape)
+        known = f"draw {FREE!r} or one of {' '.join(map(repr, domain.tiles))}"
+        # The tile that each cell must hold, -1 for any.
+        locked = parse(config.keep, FREE + domain.tiles, known) - 1
+        domain = replace(domain, frame=lambda area: jnp.where(locked >= 0, locked, frame(area)))
     if make_rules is None:
         return domain
 
     def rules() -> Rules:
-        base = make_rules()
+        base = make_rules()._replace(names=names)
+        if not config.keep:
+            return base
         only = np.eye(len(base.tiles), dtype=bool)[locked]
         return base._replace(allowed=np.where((locked >= 0)[..., None], only, base.allowed))
 
