@@ -129,10 +129,10 @@ def _turn(
             new = board.choices[tile_set, drives, old, tile_bits]
         if new == NO_TILE:
             continue
-        again = False
         for index in range(first):
-            again = again or move.cells[index] == cell
-        if not again:
+            if move.cells[index] == cell:
+                break
+        else:
             changes = _add(board, state, move, changes, cell, new)
     return changes
 

@@ -298,8 +298,8 @@ def _pack_narrow(
 def _pack_whole(facts: Facts, service: Adjacency, progress: Progress) -> np.ndarray | None:
     """Pack all cells at once."""
     start = draw_templates(facts.any_layout, facts)[0]
-    packing, moves = start_packing(facts.driving[start], facts, service), facts.free_cells
-    moves *= _MOVES_PER_CELL
+    packing = start_packing(facts.driving[start], facts, service)
+    moves = _MOVES_PER_CELL * facts.free_cells
     low, high = facts.count_bounds[0]
     for first in range(0, moves, _CHUNK):
         last = min(first + _CHUNK, moves)

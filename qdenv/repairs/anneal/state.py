@@ -14,7 +14,7 @@ import numpy as np
 
 from qdenv.native import Scalar, formula
 
-MAX_KINDS = 20  # kinds of tile: one bit each in a mask of 32
+MAX_KINDS = 20  # kinds of tile, more than any domain has: a set of them is a mask of bits
 MAX_NEEDS = 7  # different needs: four bits each in one 32-bit tally of neighbours
 MOST = 62  # cells that one move may change: a bit each in a mask of 64
 NO_TILE = -1  # where a table or a draw has no tile to give
