@@ -92,4 +92,4 @@ def apportion(total: int, ratio: tuple[int, ...]) -> list[int]:
     exact = np.array(ratio) * total / sum(ratio)
     numbers = exact.astype(int)
     numbers[np.argsort(numbers - exact, kind="stable")[: total - numbers.sum()]] += 1
-    return list(map(int, numbers))
+    return numbers.tolist()

@@ -44,10 +44,10 @@ def write_dxf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> Non
     """Write the outline as floor, and a square for each cell of another tile."""
     rows, side, file = drawing.rows, side_of(path, drawing), io.StringIO()
     height, width = len(rows), len(rows[0])
-    if sum(symbol not in BLANKS for row in rows for symbol in row) > _MAX_SQUARES:
+    if sum(symbol not in BLANKS for symbol in "".join(rows)) > _MAX_SQUARES:
         raise InputError(f"{path}: more than {_MAX_SQUARES:,} tiles beside floor: write a .json")
     document = _ezdxf().new("R2010", units=_METRES)
-    used = sorted({symbol for row in rows for symbol in row})
+    used = sorted({*"".join(rows)})
     floor = next((symbol for symbol in used if symbol in BLANKS), ".")
     every = dict.fromkeys((floor, *used))
     layers = {symbol: meanings.get(symbol, Tile("floor")).name for symbol in every}

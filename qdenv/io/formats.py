@@ -77,10 +77,9 @@ def _ending_of(path: Path) -> str:
 
 def holds(ending: str, part: str) -> bool:
     """Return True if the usual format with an ending has a place for a part of a `Drawing`."""
-    formats = [
-        one.endings[ending] for one in FORMATS.values() if one.write and ending in one.endings
-    ]
-    return part in (formats or [FORMATS["json"].endings[".json"]])[0]
+    written = (one.endings for one in FORMATS.values() if one.write)
+    places = (endings[ending] for endings in written if ending in endings)
+    return part in next(places, FORMATS["json"].endings[".json"])
 
 
 def find_reader(path: Path, form: str | None = None) -> Callable[[Path], Any]:
@@ -153,7 +152,7 @@ def redraw(
     Symbols that are not among `signs` become the first of `others`, obstacles the second. Returns
     the new rows, and which tiles have become alike.
     """
-    used = sorted({symbol for row in rows for symbol in row})
+    used = sorted({*"".join(rows)})
     known = {symbol: meanings.get(symbol, Tile(repr(symbol))) for symbol in used}
     table: dict[str, Any] = {
         symbol: signs.get(symbol, others[tile.obstacle]) for symbol, tile in known.items()

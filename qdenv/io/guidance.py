@@ -90,9 +90,9 @@ def read_table(path: Path, lines: Sequence[str], above: int) -> tuple[list[str],
 
 def write_table(rows: Sequence[str], costs: np.ndarray) -> str:
     """Write rows of symbols and their costs (float [5, H, W]) as `read_table` reads them."""
-    text = io.StringIO(f"{TABLE_HEAD}\n")
-    text.seek(0, io.SEEK_END)
+    text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*_NAMES, *_MOVES))
     for number, (row, column) in enumerate(np.ndindex(costs.shape[1:])):
         values = costs[[*_ORDER, WAIT], row, column].tolist()
         writer.writerow((number, rows[row][column], row, column, *values))

@@ -48,9 +48,8 @@ def read_png(path: Path) -> Drawing:
         if colour not in known:
             row, col = divmod(place, cols)
             reason = f"{colour} at row {row}, column {col} is the colour of no tile"
-            listed = ", ".join(
-                f"{tile!r} {one}" for tile, one in sorted(zip(known.values(), known, strict=True))
-            )
+            pairs = sorted((tile, one) for one, tile in known.items())
+            listed = ", ".join(f"{tile!r} {one}" for tile, one in pairs)
             raise damaged(path, f"{reason}: these are {listed}")
     drawn = "".join(map(known.__getitem__, colours))
     return Drawing([drawn[begin : begin + cols] for begin in range(0, len(drawn), cols)])
@@ -61,11 +60,12 @@ def write_png(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> Non
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    used = sorted({symbol for row in drawing.rows for symbol in row})
+    drawn = "".join(drawing.rows)
+    used = sorted({*drawn})
     colours = colours_of(used)
     picture = Image.new("P", (len(drawing.rows[0]), len(drawing.rows)))
     picture.putpalette([part for one in used for part in bytes.fromhex(colours[one][1:])])
-    picture.putdata([used.index(symbol) for row in drawing.rows for symbol in row])
+    picture.putdata([used.index(symbol) for symbol in drawn])
     legend, file = PngInfo(), io.BytesIO()
     legend.add_text(_LEGEND, json.dumps({colours[symbol]: symbol for symbol in used}))
     picture.save(file, "PNG", pnginfo=legend)
@@ -119,7 +119,7 @@ def write_xlsx(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> No
     book, file = openpyxl.Workbook(), io.BytesIO()
     sheet = book.active
     sheet.title = "layout"
-    colours = colours_of(sorted({symbol for row in drawing.rows for symbol in row}))
+    colours = colours_of(sorted({*"".join(drawing.rows)}))
     fills = {
         symbol: openpyxl.styles.PatternFill("solid", fgColor=colour[1:])
         for symbol, colour in colours.items()

@@ -75,7 +75,7 @@ def _lost(
     drawing: Drawing, meanings: Mapping[str, Tile], edges: list[_Edge] | None = None
 ) -> list[str]:
     """Name the obstacles that no graph holds, and costs that only say what is dear."""
-    used = {symbol for row in drawing.rows for symbol in row}
+    used = {*"".join(drawing.rows)}
     names = [tile.name for symbol, tile in meanings.items() if symbol in used and tile.obstacle]
     lost = [f"obstacles ({', '.join(names)}) are"] * bool(names)
     if edges and len({cost for *_, cost in edges}) > 1:
@@ -170,6 +170,6 @@ def write_ros(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> lis
     facts |= {"occupied_thresh": 0.65, "free_thresh": 0.196}
     text = "".join(f"{name}: {json.dumps(value)}\n" for name, value in facts.items())
     write_atomically(path.with_suffix(".yaml"), text.encode())
-    used = {symbol for row in drawing.rows for symbol in row}
+    used = {*"".join(drawing.rows)}
     names = [tile.name for symbol, tile in meanings.items() if symbol in used]
     return [f"which tile is what ({', '.join(names)}) is"]

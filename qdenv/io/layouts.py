@@ -260,9 +260,9 @@ def write_layout(
     weights = None if costs is None else weights_of(costs)
     if costs is not None:  # these say where robots drive, whatever the tiles mean
         blocked = {tiles[kind] for kind in np.unique(np.asarray(layout)[np.isinf(costs[0])])}
-        every = {symbol: meanings.get(symbol, Tile(symbol)) for symbol in tiles}
         meanings = {
-            symbol: tile._replace(obstacle=symbol in blocked) for symbol, tile in every.items()
+            symbol: meanings.get(symbol, Tile(symbol))._replace(obstacle=symbol in blocked)
+            for symbol in tiles
         }
     drawing = Drawing(rows, weights=weights, details=details)
     return write_drawing(path, drawing, meanings, None if ending in ALL_ENDINGS else "json")

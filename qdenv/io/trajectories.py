@@ -97,7 +97,7 @@ def planviz(
     events: list[list[int]] = []
     schedules = []
     for agent in range(positions.shape[1]):
-        ends = [int(step) + 1 for step in np.flatnonzero(finished[:, agent])]
+        ends = (np.flatnonzero(finished[:, agent]) + 1).tolist()
         schedule = []
         for last, end in zip([0, *ends], [*ends, None], strict=True):
             ahead = np.flatnonzero(goals[last:, agent] >= 0)
@@ -107,10 +107,10 @@ def planviz(
             if end is not None:
                 events.append([end, agent, len(tasks), 1])
             schedule.append(f"{since}:{len(tasks)}")
-            tasks.append([len(tasks), since, [int(x) for x in divmod(goals[since, agent], width)]])
+            tasks.append([len(tasks), since, [*divmod(int(goals[since, agent]), width)]])
         schedules.append(",".join(schedule))
     paths = [",".join(column) for column in letters.T]
-    starts = [[int(cell) // width, int(cell) % width, "N/A"] for cell in positions[0]]
+    starts = [[*divmod(cell, width), "N/A"] for cell in positions[0].tolist()]
     return {
         "actionModel": "MAPF",
         "version": "2024 LoRR",
