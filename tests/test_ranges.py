@@ -101,8 +101,7 @@ RECORDS = {
     # Plug-ins that other tests register have their own rules.
     *(type(config) for config in CHOSEN if type(config).__module__.startswith("qdenv.")),
 }
-# Checked where the layout, its rules or another setting are known.
-ELSEWHERE = {"rows", "cols", "shelves", "threshold_min", "keep"}
+ELSEWHERE = {"threshold_min"}  # checked where another setting is known
 
 
 @pytest.mark.parametrize("record", sorted(RECORDS, key=lambda one: one.__name__))

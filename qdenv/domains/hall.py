@@ -77,7 +77,7 @@ class HallConfig(BuiltConfig):
     demand: Rows = ()
 
     def __post_init__(self) -> None:
-        """Refuse times and shares of stations that there are not."""
+        """Raise InputError if times or shares are of unknown stations, or out of range."""
         super().__post_init__()
         for time in _by_station(self.drop, "drop").values():
             check_range("drop", int(time) if time.is_integer() else time, Stay)

@@ -15,6 +15,7 @@ from qdenv.domains.base import Domain, KnownSize, environment_entropy
 from qdenv.domains.hall import GENERATED, BuiltConfig, Odds, storage
 from qdenv.grid import inside_frame, parse
 from qdenv.lazy import jax, jnp
+from qdenv.ranges import NonNegativeInt
 from qdenv.registry import Entry
 from qdenv.simulation.mapf.goals import tile_goal
 from qdenv.simulation.mapf.settings import FleetConfig
@@ -53,7 +54,7 @@ class WarehouseConfig(BuiltConfig):
 
     # agents, horizon and planner
     fleet: FleetConfig = field(default_factory=FleetConfig)  # type: ignore[misc]
-    shelves: int = 240  # exact number of shelves, N_s in the paper
+    shelves: NonNegativeInt = 240  # exact number of shelves, N_s in the paper
     # how much likelier a workstation on the left border is than one on the right
     left_odds: Odds = 1.0
 
