@@ -230,8 +230,7 @@ def parsing(path: Path, what: str) -> Iterator[None]:
     Its warnings, as of styles that do not matter here, are not shown.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     except InputError:
         raise

@@ -36,11 +36,8 @@ def _make_graph(
     floor: the stations.
     """
     rows, free = drawing.rows, free_cells(drawing.rows, meanings)
-    height, width = free.shape
-    side = side_of(path, drawing)
-    costs = np.ones((5, height, width))
-    if drawing.weights is not None:
-        costs = costs_of(drawing.weights, free)
+    (height, width), side, weights = free.shape, side_of(path, drawing), drawing.weights
+    costs = np.ones((5, height, width)) if weights is None else costs_of(weights, free)
     places = np.argwhere(free).tolist()
     symbols = [rows[row][col] for row, col in places]
     tiles = [meanings.get(symbol, Tile(symbol)).name for symbol in symbols]
