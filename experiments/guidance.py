@@ -14,8 +14,6 @@ results/guidance/CASE-SEED.json; further ones are made there by --search, whose 
 runs/guidance, where an interrupted one goes on.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 from dataclasses import dataclass, field, replace
@@ -78,11 +76,6 @@ def floor(config: FloorConfig) -> Domain:
         measures=(Measure("free cells", 0, config.rows * config.cols, 1, cells),),
         meanings=_MEANINGS,
     )
-
-
-def register() -> None:
-    """Add the domain of published floors to those that are found by name."""
-    DOMAINS.register("published-floor", Entry(FloorConfig, floor))
 
 
 # Fleets as published: what is planned when, by whom.
@@ -200,7 +193,7 @@ def main(
         search: simulations of two searches for each case and seed, in place of the table: of
             smooth factors of costs, and of the cost of each move from there on.
     """
-    register()
+    DOMAINS.register("published-floor", Entry(FloorConfig, floor))
     if any(search):
         for name, seed in itertools.product(cases, range(seeds)):
             find_costs(name, seed, search)
