@@ -15,7 +15,7 @@ from qdenv.domains.base import Domain, make_domain
 from qdenv.io.files import tidy
 from qdenv.pipeline import simulate_layouts
 from qdenv.run.archive import SavedArchive
-from qdenv.run.config import scale
+from qdenv.run.config import override, scale
 from qdenv.run.directory import RunDirectory
 from qdenv.shipped import Driven, GrownLayout
 from qdenv.stats import sample_of
@@ -77,9 +77,7 @@ class Workshop:
 
     def at(self, shape: Shape) -> Domain:
         """Make the domain at a size, with all numbers that follow from it."""
-        evaluation = self.config.evaluation
-        domain = replace(evaluation.domain, rows=shape[0], cols=shape[1])
-        asked = replace(self.config, evaluation=replace(evaluation, domain=domain))
+        asked = override(self.config, {"rows": shape[0], "cols": shape[1]})
         return make_domain(scale(asked, self.config, ())[0].evaluation.domain)
 
     def grow(self, cell: Cell, shape: Shape) -> sizes.Sized | None:
