@@ -37,9 +37,7 @@ def names() -> list[str]:
 def find(name: str, seeds: int = 1) -> Experiment:
     """Find an experiment, of `seeds` searches each; raise InputError if none has this name."""
     look_up(dict.fromkeys(names()), name, "experiment")
-    found: Experiment = (
-        FIGURES[name] if name in FIGURES else import_module(f"experiments.{name}").EXPERIMENT
-    )
+    found: Experiment = FIGURES.get(name) or import_module(f"experiments.{name}").EXPERIMENT
     runs = RUNS if found.pieces is RUNS else ()  # others show one search of each kind
     further = [replace(run, seed=seed) for run, seed in product(runs, range(1, seeds))]
     return replace(found, pieces=(*found.pieces, *further))

@@ -3,7 +3,8 @@
 import json
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Any, NamedTuple
+from operator import add
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,8 +92,7 @@ class SavedCourse(OfLayout):
         while found is None or found.runs < self.seeds:
             begin = found.runs if found else 0
             more = simulate(case, range(begin, min(begin + CHUNK, self.seeds)))
-            pairs: Any = zip(found or more, more, strict=True)
-            found = Course(*(one + other for one, other in pairs)) if found else more
+            found = Course(*map(add, found, more)) if found else more
             parts = np.rint(found.usage / found.runs * PARTS).astype(int)
             content = found._asdict() | {
                 "cpu_seconds": round(found.cpu_seconds, 3),

@@ -172,10 +172,7 @@ class SavedLayout(Piece):
         return Unrepaired(domain, None, layout, 0), 0
 
     def read(self, folders: Folders) -> Made:
-        """Read it.
-
-        Raises InputError if it is not saved.
-        """
+        """Read it; raise InputError if it is not saved."""
         path = self.path(folders)
         try:
             about = path.stat()

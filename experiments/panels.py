@@ -30,7 +30,7 @@ def panels_of(shows: str, panels: Sequence[Panel]) -> Experiment:
         for axes, panel in zip(grid, panels, strict=True):
             show_layout(axes, panel.saved, folders, panel.title, panel.unrepaired)
         rows = []
-        for saved in dict.fromkeys(panel.saved for panel in panels if panel.saved.done(folders)):
+        for saved in (piece for piece in pieces if piece.done(folders)):
             made = saved.read(folders)
             size, steps = "{} x {}".format(*made.layout.shape), made.facts["steps"] or ""
             share = f"{made.facts['changed'] / made.layout.size:.1%}" if steps else ""

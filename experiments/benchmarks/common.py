@@ -42,13 +42,13 @@ def best_of(repeats: int, call: Callable[[], Any], items: int = 1) -> Row:
     Return cpu_ms and wall_ms per item of the fastest of `repeats` calls, worst_cpu_ms of the
     slowest, first_cpu_s: CPU seconds of the call before them, compilation included.
     """
-    watches = [Stopwatch() for _ in range(repeats + 1)]
-    for watch in watches:
+    first, *calls = (Stopwatch() for _ in range(repeats + 1))
+    for watch in (first, *calls):
         with watch:
             jax.block_until_ready(call())
-    first, *calls = sorted(watches[1:], key=lambda watch: watch.cpu)
-    worst = [first, *calls][-1].per(items)["cpu_ms"]
-    return first.per(items) | {"worst_cpu_ms": worst, "first_cpu_s": watches[0].cpu}
+    calls.sort(key=lambda watch: watch.cpu)
+    worst = calls[-1].per(items)["cpu_ms"]
+    return calls[0].per(items) | {"worst_cpu_ms": worst, "first_cpu_s": first.cpu}
 
 
 def show(title: str, rows: Iterable[Row]) -> list[Row]:
