@@ -55,13 +55,12 @@ def table(name: str) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in rows]
 
 
-def course(name: str) -> dict:
-    return json.loads((RESULTS / "courses" / f"{name}.json").read_text())
+def content(path: str) -> dict:
+    return json.loads((RESULTS / f"{path}.json").read_text())
 
 
 def layout(name: str) -> np.ndarray:
-    rows = json.loads((RESULTS / "layouts" / f"{name}.json").read_text())["layout"]
-    return np.array([list(row) for row in rows])
+    return np.array([list(row) for row in content(f"layouts/{name}")["layout"]])
 
 
 @pytest.mark.parametrize("run", sorted(path.name for path in RUNS.iterdir()))
@@ -327,8 +326,7 @@ def test_the_page_says_what_table_5_shows():
         (even, "changed {} cells at 33 × 36, {:,} at 101 × 102."),  # noqa: RUF001
         (uneven, "changed {} cells and {}."),
     ):
-        names = (f"{domain}-cma-mae-{size}.json" for size in ("33x36", "101x102"))
-        drawn = (json.loads((RESULTS / "layouts" / name).read_text()) for name in names)
+        drawn = (content(f"layouts/{domain}-cma-mae-{size}") for size in ("33x36", "101x102"))
         assert text.format(*(one["changed"] for one in drawn)) in PAGE
     most = {tuple(row[:3]): row for row in table("figure_22") if row[4:]}
     grown = most[even, large, "CMA-MAE + NCA, first zoo"]
@@ -348,8 +346,8 @@ def test_the_page_says_what_table_5_shows():
 def test_the_pages_state_what_the_repair_draws_and_where_tiles_jam():
     kept = []
     for maker, size in product(("cma-es", "nca"), ("33x36", "101x102")):
-        text = (RESULTS / "layouts" / f"manufacturing-{maker}-{size}.json").read_text()
-        drawn, built = ("".join(json.loads(text)[name]) for name in ("unrepaired", "layout"))
+        saved = content(f"layouts/manufacturing-{maker}-{size}")
+        drawn, built = ("".join(saved[name]) for name in ("unrepaired", "layout"))
         alike = [one == other for one, other in zip(drawn, built, strict=True) if other in "012"]
         kept += [sum(alike), len(alike)]
     text = "in CMA-ES's factories {} of {} and {} of {} are as the automaton drew them, "
@@ -424,9 +422,10 @@ def test_the_page_states_the_peaks_and_what_congests():
     row = next(row for row in table("figure_18") if row[:2] == ["manufacturing", "33 x 36"])
     (grown, robots), (hand, more) = (cell.split(", ") for cell in row[2:4])
     assert f"{hand} with {more} robots against {grown} with {robots}, 6 % (1 to 10)" in PAGE
-    rate = np.array(course("warehouse-uneven-human-33x36-200")["tasks"][:4]) / 100 / 50
+    rate = np.array(content("courses/warehouse-uneven-human-33x36-200")["tasks"][:4]) / 100 / 50
     assert f"from {rate[1]:.1f} tasks per timestep to {rate[3]:.1f} within 200" in PAGE
-    pbs = [course(path.stem) for path in sorted((RESULTS / "courses").glob("*-published.json"))]
+    names = sorted(path.stem for path in (RESULTS / "courses").glob("*-published.json"))
+    pbs = [content(f"courses/{name}") for name in names]
     rates = [np.sum(one["tasks"]) / one["runs"] / 5000 for one in pbs]  # by domain, human first
     assert [one["congested"] for one in pbs] == [0, 0, 3, 0, 3, 0]
     assert [one["runs"] for one in pbs] == [10, 10, 3, 10, 3, 10]
@@ -452,14 +451,14 @@ def test_the_page_states_the_peaks_and_what_congests():
     assert text.replace("% to", " to") in PAGE
     papers = [TRAFFIC["manufacturing", name, 1800].throughput for name in ("tiled", "nca")]
     assert "{} against {}, {:.1f} %)".format(*papers, 100 * (1 - papers[0] / papers[1])) in PAGE
-    jams = {"-".join(key): course(usage.path(Folders()).stem) for key, usage in USAGE.items()}
-    assert [name for name, one in jams.items() if one["congested"]] == ["warehouse-even-tiled"]
-    assert jams["warehouse-even-tiled"]["congested"] == 1
+    driven = {key: usage.read(Folders()) for key, usage in USAGE.items()}
+    jams = {key: one.congested for key, one in driven.items() if one.congested}
+    assert jams == {("warehouse-even", "tiled"): 1}
     shares = []
-    for usage in USAGE.values():
-        cells = np.sort(usage.read(Folders()).usage.ravel())[::-1]
-        driven = np.count_nonzero(cells)
-        shares.append(f"{100 * cells[: driven // 10].sum() / cells.sum():.0f}")
+    for one in driven.values():
+        cells = np.sort(one.usage.ravel())[::-1]
+        tenth = np.count_nonzero(cells) // 10
+        shares.append(f"{100 * cells[:tenth].sum() / cells.sum():.0f}")
     (even, grown), *others = zip(shares[::2], shares[1::2], strict=True)
     text = (
         f"has {even} % of the robots' time in the tiled `warehouse-even` and {grown} % in the one"
@@ -488,10 +487,10 @@ def test_the_page_states_layouts_repairs_and_mazes():
         ("a1", "{} with alpha = 1, where"),
     ):
         assert text.format(changed["warehouse-even", maker]) in PAGE
-    content = json.loads((RESULTS / "layouts" / "warehouse-even-cma-mae-101x102.json").read_text())
-    assert f"and {content['changed']:,} with alpha = 5 (seed 1). In" in PAGE
-    names = (f"warehouse-uneven-{maker}-101x102.json" for maker in ("a0", "a1", "cma-mae"))
-    none, one, five = (json.loads((RESULTS / "layouts" / name).read_text()) for name in names)
+    five = content("layouts/warehouse-even-cma-mae-101x102")["changed"]
+    assert f"and {five:,} with alpha = 5 (seed 1). In" in PAGE
+    names = (f"warehouse-uneven-{maker}-101x102" for maker in ("a0", "a1", "cma-mae"))
+    none, one, five = (content(f"layouts/{name}") for name in names)
     text = "it changed {:,} cells with alpha = 0, where nine tenths of what the automaton draws are"
     text += " endpoints, {:,} with alpha = 1, where seven tenths are, and {:,} with alpha = 5"
     assert text.format(*(each["changed"] for each in (none, one, five))) in PAGE
@@ -517,8 +516,8 @@ def test_the_page_states_layouts_repairs_and_mazes():
         ("33x36", "({:.0f} % of the cells become"),
         ("101x102", "36, {:.0f} % at 101"),
     ):
-        content = (RESULTS / "layouts" / f"manufacturing-nca-{size}.json").read_text()
-        drawn, built = ("".join(json.loads(content)[name]) for name in ("unrepaired", "layout"))
+        saved = content(f"layouts/manufacturing-nca-{size}")
+        drawn, built = ("".join(saved[name]) for name in ("unrepaired", "layout"))
         changed = [new in "012" for one, new in zip(drawn, built, strict=True) if one != new]
         stations, others = (100 * changed.count(kind) / len(built) for kind in (True, False))
         assert text.format(stations) in PAGE and round(others) == 1
