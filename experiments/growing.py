@@ -20,7 +20,6 @@ from qdenv.run.directory import RunDirectory
 from qdenv.shipped import Driven, GrownLayout
 from qdenv.stats import sample_of
 from qdenv.study import elites as sizes
-from qdenv.study.elites import grow_elite
 from qdenv.study.options import parse_seeds
 from qdenv.types import InputError
 
@@ -84,7 +83,7 @@ class Workshop:
         """Grow an elite and repair its layout as `qdenv generate` does; None where that fails."""
         if (cell, shape) not in self._grown:
             try:
-                grown = grow_elite(self.run, self.archive.elite(cell), shape)
+                grown = sizes.grow_elite(self.run, self.archive.elite(cell), shape)
                 found = sizes.finish(grown, self.config.seed)
             except InputError as error:
                 print(f"{cell}: {error}")

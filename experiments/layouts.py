@@ -23,7 +23,6 @@ from qdenv.run.directory import RunDirectory
 from qdenv.shipped import PREFIX, USUAL
 from qdenv.simulation.maze.world import WALL, longest_path
 from qdenv.study import elites as sizes
-from qdenv.study.elites import Unrepaired
 from qdenv.types import Array, InputError
 
 S, S_EVAL = (33, 36), (101, 102)
@@ -144,7 +143,7 @@ class SavedLayout(Piece):
             unrepaired=draw(grown.layout, grown.domain.tiles),
         )
 
-    def _draw(self, folders: Folders) -> tuple[Unrepaired, int]:
+    def _draw(self, folders: Folders) -> tuple[sizes.Unrepaired, int]:
         """Make the unrepaired layout; return it with the seed of its repair."""
         domain = find_domain(self.domain).resized(*self.shape)
         if self.maker == "human":
@@ -169,7 +168,7 @@ class SavedLayout(Piece):
             if self.maker != "zoo":  # annealed as in searches, like all that are saved
                 grown = grown._replace(repair=run.config.evaluation.repair)
             return grown, run.config.seed
-        return Unrepaired(domain, None, layout, 0), 0
+        return sizes.Unrepaired(domain, None, layout, 0), 0
 
     def read(self, folders: Folders) -> Made:
         """Read it; raise InputError if it is not saved."""

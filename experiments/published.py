@@ -24,7 +24,7 @@ class Found(NamedTuple):
         return f"{self.qd_score:,.0f} ± {self.qd_error:,.0f}, {self.coverage:.2f}"
 
 
-# By domain and algorithm: mean QD-score, its standard error, mean coverage. alpha = 5.
+# By domain and algorithm; alpha = 5.
 TABLE_4 = {
     ("maze-walls", "cma-mae"): Found(22299.00, 612.46, 0.54),
     ("maze-walls", "dsage"): Found(16446.60, 42.27, 0.40),

@@ -88,12 +88,12 @@ class SavedRun(Piece):
 
     def cost(self, folders: Folders) -> float:
         """Estimate the CPU seconds of the evaluations that no folder holds yet."""
+        if self.done(folders) == 1:
+            return 0.0
         path, made = folders.runs / self.folder, 0
         if (path / "config.json").exists():
             rows = RunDirectory.open(path).read_metrics(salvage=True)
             made = rows[-1].evaluations if rows else 0
-        if self.done(folders) == 1:
-            return 0.0
         # Of the small surrogate's costs only those of this preset are known.
         like = replace(self.config, algorithm=qdenv.find_preset("dsage-laptop").algorithm)
         each = cpu_seconds(self.config) or cpu_seconds(like) or 0.0
