@@ -196,7 +196,10 @@ def main(
     DOMAINS.register("published-floor", Entry(FloorConfig, floor))
     if any(search):
         for name, seed in itertools.product(cases, range(seeds)):
-            find_costs(name, seed, search)
+            if (saved := FOUND / f"{name}-{seed}.json").exists():
+                print(f"{saved}: is there already")
+            else:
+                find_costs(name, seed, search)
         return
     rows = [row for name in cases for row in measure(name, parse_counts(agents), seeds)]
     head = ("case", "guidance", "agents", "success", "tasks / timestep", "published", "CPU s / run")
