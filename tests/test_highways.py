@@ -74,13 +74,12 @@ def test_a_slow_oracle_plans_the_same_ways(contraflow):
     np.testing.assert_allclose(found[exist], expected[exist], rtol=1e-12)
 
 
-def test_traffic_of_one_way_makes_the_way_back_dear():
-    """In a lane all tasks drive to the right, so all costs are known."""
+def test_in_a_lane_all_moves_cost_the_same():
+    """All tasks drive from end to end of it, half of them each way, so all costs are known."""
     layout = parse(["e....w"], WAREHOUSE.tiles)
     free, odds = layout != 1, task_odds(layout, TASKS)
     assert odds.shape == (1, 2, 1, 6)
     costs = traffic_flow(free, odds)
-    # No traffic meets, and each cell sees every task: all moves cost the same.
     assert len(set(costs[existing_moves(free)][6:])) == 1
     lane = human_cost(free, odds)
     assert (lane == 1).all()  # a fifth of a seventh of ten moves is none

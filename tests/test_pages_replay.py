@@ -334,6 +334,7 @@ def test_in_python_the_page_shows_itself():
 
 def test_a_missing_package_is_named_before_anything_runs(folder, monkeypatch, capsys):
     (folder / "plan.txt").write_text("\n".join(ROWS))
+    monkeypatch.setattr("qdenv.study.engine._program", lambda *how: pytest.fail("simulated"))
     find = util.find_spec
     for gone, line, said in (
         ("imageio_ffmpeg", "--mp4", 'films need imageio-ffmpeg: pip install "qdenv[viz]"'),

@@ -297,7 +297,8 @@ def test_lists_read_as_sentences():
     assert listed(["a"]) == "a" and listed(["a", "b", "c"]) == "a, b and c"
 
 
-def test_without_a_page_library_nothing_is_simulated(folder, monkeypatch, capsys):
+def test_without_a_page_library_nothing_is_simulated(folder, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(InputError, match="pip install"):
+    monkeypatch.setattr("qdenv.study.engine._program", lambda *how: pytest.fail("simulated"))
+    with pytest.raises(InputError, match="pages need jinja2: pip install"):
         qdenv.report([Path(folder / "plan.json")])

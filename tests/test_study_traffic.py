@@ -1,6 +1,7 @@
 """Where a fleet waits and works, and how many agents a layout takes: oracles and known jams."""
 
 import threading
+import weakref
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ import pytest
 import qdenv
 from qdenv.domains.base import find_domain
 from qdenv.grid import move_steps, parse
+from qdenv.simulation.mapf.host import run as host
 from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig, find_planner
-from qdenv.study import traffic
+from qdenv.study import engine, traffic
 from qdenv.study.engine import run_seeds
 from qdenv.study.plans import Plan
 from qdenv.study.recordings import (
@@ -215,8 +217,6 @@ def test_a_report_counts_what_the_runs_did():
 def test_compiling_is_not_counted_as_simulating(monkeypatch):
     """The first run of a process compiles for 17 s unless its machine code is cached."""
     order = []
-    from qdenv.study import engine
-
     real = engine.fleet.compile_runs
 
     def compile_runs(*given):
@@ -244,9 +244,6 @@ def test_compiling_is_not_counted_as_simulating(monkeypatch):
 
 def test_one_long_run_reports_its_progress(monkeypatch):
     """The run waits for the reports of its steps, so the load of the machine does not matter."""
-    from qdenv.simulation.mapf.host import run as host
-    from qdenv.study import engine
-
     reports, seen = [], threading.Semaphore(0)
 
     def progress(*state):
@@ -274,9 +271,15 @@ def test_one_long_run_reports_its_progress(monkeypatch):
 
 
 def test_a_recording_is_dropped_once_it_is_read():
-    config = FleetConfig(5, 20, planner=PibtConfig())
-    done = run_seeds(LANE, TASKS, config, (1, 2), read=lambda seed, run, tape: seed)
-    assert done.readings == [1, 2] and len(done.runs) == 2
+    config, seen = FleetConfig(5, 20, planner=PibtConfig()), []
+
+    def read(seed, run, tape):
+        seen.append(weakref.ref(tape.positions))
+        return seed, sum(one() is not None for one in seen)
+
+    done = run_seeds(LANE, TASKS, config, (1, 2), read=read, threads=1)
+    assert done.readings == [(1, 1), (2, 1)] and len(done.runs) == 2
+    assert all(one() is None for one in seen)
 
 
 def test_what_is_too_large_to_record_says_what_to_do(monkeypatch):
