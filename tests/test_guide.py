@@ -137,7 +137,7 @@ def test_what_was_found_serves_a_floor_of_another_size(method, plan, tmp_path):
             qdenv.guide(larger, model=tmp_path / "model", **FLEET, **ignored)
 
 
-def test_what_makes_no_search_is_refused(found, plan, tmp_path):
+def test_what_makes_no_search_is_refused(found, further, plan, tmp_path):
     _, path = found
     with pytest.raises(InputError, match="holds a run already"):
         qdenv.guide(plan, path=path, **FLEET)
@@ -147,8 +147,7 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
     (tmp_path / FILE).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(InputError, match="a run would replace it"):
         qdenv.guide(plan, path=tmp_path, model=path, **FLEET)
-    qdenv.guide(plan, method="costs", path=tmp_path / "single", evaluations=40, **FLEET)
-    for model in (tmp_path / "single", "zoo:warehouse-even/best"):
+    for model in (further, "zoo:warehouse-even/best"):  # of costs for single cells, and of none
         with pytest.raises(InputError, match="no costs for other floors"):
             qdenv.guide(plan, model=model, path=tmp_path / "out", **FLEET)
     with pytest.raises(InputError, match="simulate fewer agents"):
@@ -157,7 +156,7 @@ def test_what_makes_no_search_is_refused(found, plan, tmp_path):
         other = FLEET | {"method": "update", "guidance": "human-cost"}
         qdenv.guide(plan, path=tmp_path / "out", **other)
     maze = qdenv.read_plan(plan)._replace(domain=qdenv.find_domain("maze-walls"))
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="no fleet drives in maze-walls"):
         qdenv.guide(maze, path=tmp_path / "out", **FLEET)
     assert not (tmp_path / "out").exists()
 

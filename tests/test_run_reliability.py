@@ -178,7 +178,7 @@ def edited(run: RunDirectory, **changes: object) -> None:
     ("changes", "said"),
     [
         ({"seed": 5}, "made with seed 0, now it is 5: put that back, or train in another folder"),
-        ({"archive": [[0, 30, 6], [0, 6, 10]]}, "made with archive [[0.0, 30.0, 10], [0.0, 6.0, 6]]"),
+        ({"archive": [[0, 30, 6], [0, 6, 10]]}, "made with archive [[0.0, 30.0, 10], [0.0, 6"),
         # Another form of the state is refused without a look at the settings.
         ({"algorithm__emitters": 4, "algorithm__batch": 2}, "belongs to another configuration"),
         ({"evaluation__simulations": 2}, "belongs to another configuration"),

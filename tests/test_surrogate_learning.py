@@ -155,12 +155,13 @@ def test_a_sample_is_seen_as_often_as_any_other_by_the_last_minibatch_too(monkey
     blank = jnp.zeros((7, 1, 1))
     ring = Ring.empty(9, (1, 1), 1).add(Samples(blank, blank, blank, numbers), jnp.ones(7, bool))
     surrogate = Surrogate(SurrogateConfig(minibatch=3), Encoding((1, 1), KINDS), 0)
-    params, fitted = jnp.ones(2), surrogate.init(jax.random.key(0))
+    params, fitted = jnp.ones(2), jax.jit(surrogate.init)(jax.random.key(0))
     learner = fitted.learners["score"]._replace(
         variables={"params": params, "batch_stats": {}}, moments=optax.adam(1e-3).init(params)
     )
     fitted = fitted._replace(learners={"score": learner})
-    _, value = surrogate.fit_part(fitted, ring, jax.random.key(0), "score", 0, 2)
+    fit_part = jax.jit(surrogate.fit_part, static_argnums=3)
+    _, value = fit_part(fitted, ring, jax.random.key(0), "score", 0, 2)
     jax.effects_barrier()
     assert len(seen) == 6 and float(value) < 2
     for epoch in (np.concatenate(seen[:3]), np.concatenate(seen[3:])):

@@ -1,5 +1,7 @@
 """What the surrogate makes small and what it reports, against numpy and scipy."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,8 +27,10 @@ def slope_of(logits, usage):
     return np.asarray(jax.jit(jax.grad(lambda row: usage_loss(row, usage, "kl")))(logits))
 
 
-def first_losses(rng, weights):
+@functools.cache
+def first_losses(weights):
     """Fit a surrogate for one step to six samples: untrained, samples, losses of that step."""
+    rng = np.random.default_rng(0)
     config = SurrogateConfig(
         channels=4, blocks=1, epochs=1, minibatch=6, samples=6, standardise=False, weights=weights
     )
@@ -36,19 +40,20 @@ def first_losses(rng, weights):
         *map(jnp.asarray, (drawn, repaired, np.zeros(drawn.shape))), jnp.zeros((6, 3))
     )
     samples = samples._replace(numbers=jnp.asarray(rng.normal(size=(6, 3)), jnp.float32))
-    fitted = surrogate.init(jax.random.key(0))
+    fitted = jax.jit(surrogate.init, compiler_options=QUICK)(jax.random.key(0))
     ring = Ring.empty(6, (4, 5), 3).add(samples, jnp.ones(6, bool))
     fit = jax.jit(surrogate.fit_part, static_argnums=3, compiler_options=QUICK)
     losses = {
         name: float(fit(fitted, ring, jax.random.key(1), name, 0, 1)[1])
         for name in ("repair", "score")
     }
-    return fitted, samples, losses, surrogate.predict(fitted, samples.drawn)[0]
+    predict = jax.jit(surrogate.predict, compiler_options=QUICK)
+    return fitted, samples, losses, predict(fitted, samples.drawn)[0]
 
 
 @pytest.mark.slow
-def test_the_loss_of_maps_is_the_mean_cross_entropy_of_their_tiles(rng):
-    fitted, samples, losses, _ = first_losses(rng, ())
+def test_the_loss_of_maps_is_the_mean_cross_entropy_of_their_tiles():
+    fitted, samples, losses, _ = first_losses(())
     network, variables = MapPredictor(4, 1, 3), fitted.learners["repair"].variables
     logits, _ = network.apply(
         variables, jax.nn.one_hot(samples.drawn, 3), True, mutable=["batch_stats"]
@@ -105,9 +110,9 @@ def test_a_map_that_nobody_used_says_nothing(rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weights", [(), (1, 2, 10)])
-def test_the_loss_of_scores_weighs_its_numbers(rng, weights):
+def test_the_loss_of_scores_weighs_its_numbers(weights):
     # Of a map this small no layer normalises: as while it learns.
-    _, samples, losses, score = first_losses(rng, weights)
+    _, samples, losses, score = first_losses(weights)
     predicted = np.column_stack([score.objective, score.result_objective, score.measures])
     squared = np.square(predicted - samples.numbers) * np.array(weights or (1, 1, 1))
     np.testing.assert_allclose(losses["score"], squared.mean(), rtol=1e-5)
