@@ -11,6 +11,8 @@ from robustness.fleets import tasks_of
 from qdenv.registry import Entry
 from qdenv.simulation.mapf import fleet
 from qdenv.simulation.mapf.audit import audit
+from qdenv.simulation.mapf.host import run as host_run
+from qdenv.simulation.mapf.host.distances import DistanceFields, empty_fields
 from qdenv.simulation.mapf.planner import Planner
 from qdenv.simulation.mapf.settings import PLANNERS
 from qdenv.types import TaskRule, Traffic
@@ -41,6 +43,18 @@ def run_audited(
     traffic, recording = jax.tree.map(np.asarray, run(prepare(jnp.asarray(layout)), key, count))
     assert audit(layout, rule, recording, traffic, config.horizon) == []
     return traffic, int(traffic.end_timestep) * agents
+
+
+def give_little_room(monkeypatch) -> list[int]:
+    """Let host code begin with too little room for distances; list how many rows each run wants."""
+    rooms = []
+
+    def little(shape: tuple[int, int], goals: int, rows: int, has_costs: bool) -> DistanceFields:
+        rooms.append(rows)
+        return empty_fields(shape, goals, 2, 3, has_costs)
+
+    monkeypatch.setattr(host_run, "empty_fields", little)
+    return rooms
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
+from maze_oracle import bfs
 
 from qdenv.grid import parse
 from qdenv.simulation.mapf.negotiated.settings import COST_UNIT, MOVE_UNIT
@@ -71,19 +72,10 @@ class Case(NamedTuple):
 
 
 def numpy_distances(free: np.ndarray, goal: int) -> np.ndarray:
-    """Breadth-first search, one cell at a time."""
-    height, width = free.shape
-    distance = np.full(height * width, UNREACHABLE)
-    distance[goal] = 0
-    queue = [goal]
-    for cell in queue:
-        for down, right in MOVES[1:]:
-            row, column = cell // width + down, cell % width + right
-            if 0 <= row < height and 0 <= column < width and free[row, column]:
-                other = row * width + column
-                if distance[other] == UNREACHABLE:
-                    distance[other] = distance[cell] + 1
-                    queue.append(other)
+    """Count the steps from all cells to a goal, by the breadth-first search of the mazes."""
+    steps = bfs(~free, goal)
+    distance = np.full(free.size, UNREACHABLE)
+    distance[[*steps]] = [*steps.values()]
     return distance
 
 

@@ -1,12 +1,20 @@
 """The maze agent once more in plain numpy, one step at a time, from the written rules."""
 
 from collections import deque
+from pathlib import Path
 
 import numpy as np
 from scipy.special import expit
 
+DATA = Path(__file__).parent / "data" / "maze"
 STEP = {0: (0, 1), 1: (1, 0), 2: (0, -1), 3: (-1, 0)}  # (row, column) of right, down, left, up
 CODE = {"empty": (1, 0, 0), "wall": (2, 5, 0), "goal": (8, 1, 0)}
+
+
+def recorded_network() -> dict[str, np.ndarray]:
+    """Read the recorded network: its weights under PyTorch's names."""
+    stored = np.load(DATA / "policy_random16_fixture.npz")
+    return {name[2:]: stored[name] for name in stored if name.startswith("w.")}
 
 
 def bfs(layout: np.ndarray, start: int) -> dict[int, int]:

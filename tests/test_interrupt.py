@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from conftest import SMALL
@@ -20,14 +21,13 @@ import sys
 from qdenv.interrupt import advise, watch
 watch()
 sys.argv = ["qdenv", "simulate", "a plan.txt"]
-if {folder!r}:
-    advise({folder!r})
-    advise({folder!r} + "/part")
+advise("runs/a")
+advise("runs/a/part")
 import numba
 from pathlib import Path
 from qdenv.io.files import write_atomically
 
-@numba.njit(nogil={nogil})
+@numba.njit(nogil=True)
 def spin(n):
     total = 0
     for i in range(n):
@@ -44,13 +44,18 @@ write_atomically(Path("out.json"), content)
 """
 
 
+def ready(script: str, folder: Path, *words: str, **options: str) -> subprocess.Popen:
+    """Start a program, and wait until it says that it is ready."""
+    work = start(["-c", script, *words], folder, "0", **options)
+    assert work.stdout.readline() == "ready\n"
+    return work
+
+
 @pytest.mark.parametrize(
     ("number", "signals"), [(signal.SIGINT, 1), (signal.SIGINT, 3), (signal.SIGTERM, 1)]
 )
 def test_it_ends_compiled_code_and_leaves_no_half_written_file(tmp_path, number, signals):
-    script = BUSY.format(folder="runs/a", nogil=True)
-    work = start(["-c", script], tmp_path, "0")
-    assert work.stdout.readline() == "ready\n"
+    work = ready(BUSY, tmp_path)
     assert len(list(tmp_path.iterdir())) == 1  # what is being written, under another name
     for _ in range(signals):
         if work.poll() is None:
@@ -101,9 +106,7 @@ time.sleep(600)
 
 @pytest.mark.parametrize(("seconds", "signals", "saved"), [(0.2, 1, True), (600, 2, False)])
 def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, signals, saved):
-    script = UNSAVED.format(seconds=seconds)
-    work = start(["-c", script], tmp_path, "0")
-    assert work.stdout.readline() == "ready\n"
+    work = ready(UNSAVED.format(seconds=seconds), tmp_path)
     work.send_signal(signal.SIGTERM)
     said = work.stderr.readline() + work.stderr.readline()
     assert said == "\nqdenv: saving; interrupt again to quit at once\n"
@@ -117,8 +120,7 @@ def test_what_is_done_is_saved_first_unless_asked_once_more(tmp_path, seconds, s
 
 def test_a_file_whose_name_is_no_text_does_not_prevent_the_end(tmp_path):
     script = UNSAVED.replace("advise(", "str(").format(seconds=0)
-    work = start(["-c", script, "\udcff.json"], tmp_path, "0", errors="surrogateescape")
-    assert work.stdout.readline() == "ready\n"
+    work = ready(script, tmp_path, "\udcff.json", errors="surrogateescape")
     work.send_signal(signal.SIGINT)
     _, said = work.communicate(timeout=60)
     assert work.returncode == 130

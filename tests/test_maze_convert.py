@@ -10,14 +10,13 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from maze_oracle import recorded_network
 from robustness.corrupt import pickle_tensor, pickle_text
 
 from qdenv.agent.convert import from_torch, read_checkpoint
 from qdenv.ops.networks import convert_agent
 from qdenv.simulation.maze.policy import Weights, load_weights
 from qdenv.types import InputError
-
-DATA = Path(__file__).parent / "data" / "maze"
 
 
 def steps(array: np.ndarray) -> tuple[int, ...]:
@@ -49,8 +48,7 @@ def checkpoint(path: Path, tensors: dict[str, np.ndarray], wrapper: str = "") ->
 
 @pytest.fixture(scope="module")
 def tensors():
-    stored = np.load(DATA / "policy_random16_fixture.npz")
-    return {name[2:]: stored[name] for name in stored if name.startswith("w.")}
+    return recorded_network()
 
 
 @pytest.mark.parametrize("wrapper", ["", "model", "state_dict"])

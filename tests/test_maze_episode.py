@@ -1,7 +1,5 @@
 """The agent at work: network parity, whole episodes against the oracle, the published loop."""
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import maze_oracle as oracle
@@ -18,7 +16,6 @@ from qdenv.types import InputError
 
 pytestmark = pytest.mark.slow
 
-DATA = Path(__file__).parent / "data" / "maze"
 HORIZON = 60
 prepare = jax.jit(policy.prepare)
 run = jax.jit(maze.run_episode, static_argnums=(3, 4))
@@ -30,12 +27,12 @@ publish = jax.jit(reference_episodes, static_argnums=(3, 4, 5))
 
 @pytest.fixture(scope="module")
 def fixture():
-    return dict(np.load(DATA / "policy_random16_fixture.npz"))
+    return dict(np.load(oracle.DATA / "policy_random16_fixture.npz"))
 
 
 @pytest.fixture(scope="module")
-def tensors(fixture):
-    return {name[2:]: array for name, array in fixture.items() if name.startswith("w.")}
+def tensors():
+    return oracle.recorded_network()
 
 
 @pytest.fixture(scope="module")

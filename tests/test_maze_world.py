@@ -1,7 +1,5 @@
 """The maze's world against recorded traces, 41 measured levels and a plain-numpy oracle."""
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import maze_oracle as oracle
@@ -14,12 +12,11 @@ from qdenv.grid import pad, parse
 from qdenv.score import entropy
 from qdenv.simulation.maze import world
 
-DATA = Path(__file__).parent / "data" / "maze"
 measure = jax.jit(world.longest_path)
 
 
 def test_metrics_of_41_levels_are_exact():
-    levels = np.load(DATA / "maze_metrics_fixture.npz")
+    levels = np.load(oracle.DATA / "maze_metrics_fixture.npz")
     courses = jax.jit(jax.vmap(world.longest_path))(levels["grid"].astype(np.int8))
     np.testing.assert_array_equal(courses.length > 0, levels["solvable"] == 1)
     np.testing.assert_array_equal(courses.length, np.maximum(levels["optimal_path_length"], 0))
@@ -46,7 +43,7 @@ def replay(layout, goal, start, heading, actions):
 
 @pytest.mark.slow
 def test_environment_agrees_with_3770_recorded_steps():
-    traces = np.load(DATA / "maze_env_traces.npz")
+    traces = np.load(oracle.DATA / "maze_env_traces.npz")
     compared = 0
     replayed = jax.jit(replay)
     for number in range(21):

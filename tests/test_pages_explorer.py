@@ -342,8 +342,6 @@ def test_a_generator_that_tells_only_how_it_ends_grows_frame_by_frame_too(small_
     domain, solutions = make_domain(config.domain), small_run.archive.columns["solution"][:2]
     steps, grow = make_grower(config, domain)
     whole = grow(solutions)
-    from qdenv.generators import GENERATORS
-
     made = GENERATORS.make
     monkeypatch.setattr(
         type(GENERATORS), "make", lambda self, *given: made(*given)._replace(frames=None)

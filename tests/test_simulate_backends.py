@@ -6,13 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fleet_runs import AGENTS, PLAIN, SERVICES, programs
+from fleet_runs import AGENTS, PLAIN, SERVICES, give_little_room, programs
 from jax import export
 from robustness.fleets import SHAPE, random_layout
 
 from qdenv.domains.base import find_domain
 from qdenv.simulation.mapf import fleet
-from qdenv.simulation.mapf.host import run as host_run
 from qdenv.simulation.mapf.host.distances import empty_fields
 from qdenv.simulation.mapf.host.state import make_run
 from qdenv.simulation.mapf.negotiated.settings import LOW, NegotiatedConfig
@@ -180,12 +179,7 @@ def test_little_room_for_distances_changes_nothing(monkeypatch):
         prepare, run = programs(rule, config)
         return jax.tree.map(np.asarray, run(prepare(layout), jax.random.key(1), jnp.int32(90)))
 
-    expected, rooms = outcome(), []
-
-    def little(shape, goals, rows, has_costs):
-        rooms.append(rows)
-        return empty_fields(shape, goals, 2, 3, has_costs)
-
-    monkeypatch.setattr(host_run, "empty_fields", little)
+    expected = outcome()
+    rooms = give_little_room(monkeypatch)
     jax.tree.map(np.testing.assert_array_equal, outcome(), expected)
     assert rooms and expected[0].finished.sum() > 20

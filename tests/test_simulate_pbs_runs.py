@@ -9,14 +9,12 @@ import jax
 import numpy as np
 import pytest
 from conftest import read_layout
-from fleet_runs import PLAIN, SERVICES
+from fleet_runs import PLAIN, SERVICES, give_little_room
 from robustness.fleets import random_layout
 
 from qdenv.domains.base import find_domain
 from qdenv.simulation.mapf import fleet
 from qdenv.simulation.mapf.audit import audit
-from qdenv.simulation.mapf.host import run as host_run
-from qdenv.simulation.mapf.host.distances import DistanceFields, empty_fields
 from qdenv.simulation.mapf.metrics import Recording
 from qdenv.simulation.mapf.pbs import planner as pbs_planner
 from qdenv.simulation.mapf.pbs.workspace import Workspace, make_workspace
@@ -140,14 +138,8 @@ def test_little_room_at_first_changes_nothing(rule, monkeypatch):
         agents=60, timesteps=33, planner=PbsConfig(rule, 1), stop_when_congested=False
     )
     expected = run_seeds(layout, SERVICES, config, (0,)).runs[0]
-    works, rooms = kept_workspaces(monkeypatch), []
-
-    def little(shape: tuple[int, int], goals: int, rows: int, has_costs: bool) -> DistanceFields:
-        rooms.append(rows)
-        return empty_fields(shape, goals, 2, 3, has_costs)
-
+    works, rooms = kept_workspaces(monkeypatch), give_little_room(monkeypatch)
     monkeypatch.setattr(pbs_planner, "FIRST_DEPTH", 1)
-    monkeypatch.setattr(host_run, "empty_fields", little)
     found = run_seeds(layout, SERVICES, config, (0,)).runs[0]
     jax.tree.map(np.testing.assert_array_equal, found, expected)
     depths = [len(work.node) for work in works]

@@ -43,6 +43,15 @@ def layouts() -> dict[str, np.ndarray]:
     return {"human": human, "narrow": narrow}
 
 
+@pytest.fixture
+def paths(layouts, tmp_path) -> list[str]:
+    """Files of the layouts."""
+    files = {name: tmp_path / f"{name}.json" for name in layouts}
+    for name, path in files.items():
+        write_layout(path, layouts[name], WAREHOUSE.tiles)
+    return [*map(str, files.values())]
+
+
 def test_rows_agree_with_the_runs_they_summarise(layouts):
     told = []
     rows = compare(layouts, Trial(TASKS, CONFIG, (12, 60), SEEDS), told.append)
@@ -155,9 +164,6 @@ def test_numbers_of_agents_are_read():
     assert parse_counts("200") == (200,)
     assert parse_counts("50,100") == (50, 100)
     assert parse_counts("50:400:50") == tuple(range(50, 401, 50))
-    for text in ("", "many", "0", "10:5", "1:2:3:4", "5:10:0"):
-        with pytest.raises(InputError):
-            parse_counts(text)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +173,10 @@ def test_numbers_of_agents_are_read():
         (f"1:{10**30}", "choose a larger step"),
         ("1,1,1", "names a number twice"),
         ("-5,10", "numbers must be above zero"),
-        ("50:10", "ranges must rise"),
+        ("0", "numbers must be above zero"),
+        ("5:10:0", "numbers must be above zero"),
+        ("10:5", "ranges must rise"),
+        *((text, "write 200, or 50,100, or") for text in ("", "many", "1:2:3:4")),
     ],
 )
 def test_numbers_that_make_no_study_are_refused_at_once(text, said):
@@ -175,11 +184,7 @@ def test_numbers_that_make_no_study_are_refused_at_once(text, said):
         parse_counts(text)
 
 
-def test_commands_compare_and_climb(layouts, tmp_path, capsys):
-    paths = []
-    for name, layout in layouts.items():
-        paths.append(str(tmp_path / f"{name}.json"))
-        write_layout(tmp_path / f"{name}.json", layout, WAREHOUSE.tiles)
+def test_commands_compare_and_climb(paths, tmp_path, capsys):
     out = f"--timesteps 60 --seeds 1 --planner pibt --out {tmp_path / 't.csv'}".split()
     assert cli.run(["compare", *paths, "--agents", "2,60", *out]) == 0
     lines = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[2:6]]
@@ -190,11 +195,7 @@ def test_commands_compare_and_climb(layouts, tmp_path, capsys):
     assert len((tmp_path / "t.csv").read_text().splitlines()) == 5
 
 
-def test_planners_are_compared_seed_by_seed_on_each_layout(layouts, tmp_path, capsys):
-    paths = []
-    for name, layout in layouts.items():
-        paths.append(str(tmp_path / f"{name}.json"))
-        write_layout(tmp_path / f"{name}.json", layout, WAREHOUSE.tiles)
+def test_planners_are_compared_seed_by_seed_on_each_layout(layouts, paths, tmp_path, capsys):
     words = "--timesteps 40 --seeds 4 --agents 12 --planner pibt,negotiated".split()  # noqa: SIM905
     words = ["compare", *paths, *words, "--out", str(tmp_path / "t.csv")]
     assert cli.run([*words, "--runs", str(tmp_path / "r.csv")]) == 0

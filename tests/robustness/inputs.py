@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from small_warehouse import ROWS as WAREHOUSE
+
 from qdenv.cli.main import run as qdenv
 from qdenv.domains.base import find_domain
 from qdenv.io.formats import FORMATS, write_drawing
@@ -23,14 +25,6 @@ from robustness.corrupt import Rng, corrupt, damage, hostile_checkpoint, pick
 from robustness.sandbox import Sandbox
 
 INPUTS = 50  # of one attempt
-WAREHOUSE = [
-    "...........",
-    "w..@e.e@..w",
-    "...@e.e@...",
-    "...........",
-    "w..e@.@e..w",
-    "...........",
-]
 MAZE = ["      ", " XXXX ", "    X ", " XX X ", "  X   ", "X   X "]
 PATHS = b"timestep,robot,row,column\n0,0,0,0\n1,0,0,1\n0,1,5,5\n1,1,5,5\n"
 SEARCH = (  # a search of seconds, whose run commands read
