@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from qdenv.domains.base import find_domain
 from qdenv.grid import DOWN, LEFT, RIGHT, UP, WAIT, parse
-from qdenv.guidance import GUIDANCE, crisscross, existing_moves
+from qdenv.guidance import crisscross, existing_moves
 from qdenv.io.guidance import TABLE_HEAD, costs_of, weights_of
 from qdenv.io.layouts import read_drawing, write_layout
 from qdenv.ops.options import read_plan
@@ -152,7 +152,6 @@ def test_unknown_names_are_refused():
     maze = Plan("maze", np.zeros((3, 3), np.int8), find_domain("maze-walls"), assumed=False)
     with pytest.raises(InputError, match="no fleet drives in maze-walls"):
         guide(maze, "crisscross")
-    assert {"none", "crisscross"} <= GUIDANCE.keys()
 
 
 def test_text_and_maps_hold_no_costs(tmp_path):

@@ -38,19 +38,6 @@ def test_missing_folder_and_huge_files(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "domain", "shape"),
-    [
-        ("warehouse_even_nca_a5", "warehouse-even", (33, 36)),
-        ("warehouse_uneven_nca_a5", "warehouse-uneven", (33, 36)),
-        ("warehouse_human_eval", "warehouse-even", (101, 102)),
-        ("manufacturing_nca_a5", "manufacturing", (33, 36)),
-    ],
-)
-def test_published_layouts_read(name, domain, shape, published):
-    assert read_layout(published(name), find_domain(domain).tiles).shape == shape
-
-
-@pytest.mark.parametrize(
     ("name", "domain"),
     [("warehouse_even_unrepaired", "warehouse-even"), ("manufacturing", "manufacturing")],
 )
@@ -72,11 +59,9 @@ DOMAIN_NAMES = [name for name in DOMAINS.names() if name != "garden"]
 @pytest.mark.parametrize("ending", [".json", ".txt", ".csv", ".map"])
 def test_every_format_gives_back_what_was_written(name, ending, tmp_path):
     domain, rng = find_domain(name), np.random.default_rng(3)
-    assert ending in ENDINGS
     kinds = len(domain.tiles) if ending in endings_for(domain.tiles, domain.meanings) else 2
-    kinds = (
-        kinds if name not in ("manufacturing", "hall") or ending != ".map" else 1
-    )  # no wall, no map of one
+    if ending == ".map" and name in ("manufacturing", "hall"):
+        kinds = 1  # no wall, no map of one
     for rows, cols in [(1, 1), (1, 7), (6, 1), (5, 9), (33, 36)]:
         layout = rng.integers(0, kinds, (rows, cols)).astype(np.int8)
         path = tmp_path / f"l{ending.upper()}"
