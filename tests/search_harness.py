@@ -74,10 +74,10 @@ def compiled(config):
     return compile_search(config, PROBLEM)
 
 
-def score_of(solutions, success=None, numbers=np):
+def score_of(solutions, numbers=np):
     """Score the negative sphere around 0.3 over the first two parameters."""
     objective = 5 - numbers.square(solutions - 0.3).sum(axis=-1)
-    success = numbers.ones(len(solutions), bool) if success is None else success
+    success = numbers.ones(len(solutions), bool)
     return Score(objective, objective - 1, solutions[:, :2], success)
 
 

@@ -16,7 +16,7 @@ from qdenv.io.layouts import write_layout
 
 EVEN = find_domain("warehouse-even")
 FREE = EVEN.drivable(parse(ROWS, TILES))
-HEIGHT, WIDTH = FREE.shape
+HEIGHT = len(FREE)
 SCHEMA = STUDY_DATA / "formats" / "LIF.schema"
 
 

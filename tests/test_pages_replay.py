@@ -34,8 +34,8 @@ TIP = """([level, axis]) => {
 SHOWN = "performance.getEntriesByName('shown').length > 0"
 
 
-def warehouse(name="small"):
-    return Plan(name, parse(ROWS, TILES), find_domain("warehouse-even"), assumed=False)
+def warehouse():
+    return Plan("small", parse(ROWS, TILES), find_domain("warehouse-even"), assumed=False)
 
 
 @pytest.fixture(scope="module")

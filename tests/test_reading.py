@@ -40,9 +40,9 @@ def test_arrays_are_read_bit_for_bit(save, tmp_path):
         np.testing.assert_array_equal(found[name], array, strict=name != "big end first")
 
 
-def npz(path: Path, member: bytes, name: str = "a.npy", kind: int = zipfile.ZIP_STORED) -> Path:
+def npz(path: Path, member: bytes, kind: int = zipfile.ZIP_STORED) -> Path:
     with zipfile.ZipFile(path, "w", kind) as archive:
-        archive.writestr(name, member)
+        archive.writestr("a.npy", member)
     return path
 
 

@@ -20,12 +20,12 @@ from qdenv.repairs.rules import Facts
 from qdenv.types import Adjacency, Count, InputError, Rules
 
 
-def mixed_rules(rows: int = 9, cols: int = 10) -> Rules:
+def mixed_rules() -> Rules:
     """Three kinds of station counted apart, a fixed door, a keep-out and uneven weights."""
-    allowed = np.ones((rows, cols, 5), bool)
+    allowed = np.ones((9, 10, 5), bool)
     allowed[0, 0] = [True, False, False, False, False]
     allowed[4, 4:7, 1:4] = False
-    weights = np.ones((rows, cols))
+    weights = np.ones((9, 10))
     weights[:, :3] = 2
     return Rules(
         tiles=".012e",
@@ -71,9 +71,9 @@ def test_facts_follow_from_the_rules():
     assert facts.cost(np.ones((9, 10), np.int8), np.zeros((9, 10), np.int8)) == 90 + 27
 
 
-def plan_of(moves: int, periods: int = 100) -> Schedule:
-    """Plan a hot run."""
-    period = max(moves // periods, 1)
+def plan_of(moves: int) -> Schedule:
+    """Plan a hot run of a hundred periods."""
+    period = max(moves // 100, 1)
     count = max(-(-moves // period), 1)
     return Schedule((2.0, 1.0), (0.5, 0.5), moves, period, count)
 

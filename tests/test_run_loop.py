@@ -68,9 +68,9 @@ def test_jitted_scan_and_pipelined_loop_give_the_same_archive(finished):
     assert toy.same(experiment.algorithm.archive(state).elites(), finished.archive.columns)
 
     evaluator = PipelinedEvaluator(experiment.pipeline, Threads(experiment.pipeline))
-    before = len(traces)
+    before, ask = len(traces), jax.jit(experiment.algorithm.ask)
     for number in range(3):
-        solutions, state = experiment.algorithm.ask(state)
+        solutions, state = ask(state)
         evaluator.begin(solutions, jax.random.key(number))()
     assert len(traces) == before + 1
 
@@ -190,7 +190,8 @@ def test_failed_evaluations_enter_nothing():
     assert (np.asarray(evaluation.status) == RepairStatus.IMPOSSIBLE).all()
     assert not np.asarray(evaluation.score.success).any()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(evaluation.score))
-    state = experiment.algorithm.tell(state, solutions, evaluation.score, observed(evaluation))
+    tell = jax.jit(experiment.algorithm.tell)
+    state = tell(state, solutions, evaluation.score, observed(evaluation))
     assert len(experiment.algorithm.archive(state).elites()["index"]) == 0
 
 

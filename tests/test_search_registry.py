@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from search_harness import DIM, GRID, compiled, iterate
+from search_harness import DIM, GRID, compile_search, compiled, iterate
 
 from qdenv.registry import Entry, Registry
 from qdenv.search import registry
@@ -73,8 +73,8 @@ def test_a_users_strategy_plugs_in_by_name(monkeypatch):
             return solutions + 7, state
 
     monkeypatch.setitem(STRATEGIES, "mine", Mine)
-    algorithm = make_algorithm(CmaMaeConfig(strategy="mine"), Problem(DIM, GRID))
-    solutions, _ = algorithm.ask(algorithm.init(jax.random.key(0)))
+    search = compile_search(CmaMaeConfig(strategy="mine"), Problem(DIM, GRID))
+    solutions, _ = search.ask(search.init(jax.random.key(0)))
     assert 6.9 < float(solutions.mean()) < 7.1
 
 

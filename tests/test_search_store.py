@@ -19,9 +19,9 @@ SEARCHES = {name: CONFIGS[name] for name in ("cma-mae", "cma-me", "random")} | {
 }
 
 
-def search(algorithm, iterations):
+def search(algorithm):
     state = algorithm.init(jax.random.key(2))
-    for _ in range(iterations):
+    for _ in range(5):
         state = iterate(algorithm, state)
     return state
 
@@ -63,7 +63,7 @@ def test_a_growing_search_finds_the_same_bit_for_bit(name, monkeypatch):
     algorithm = make_algorithm(SEARCHES[name], PROBLEM)
     found_by = base.growing(algorithm)
     ask, tell = jax.jit(algorithm.ask), jax.jit(algorithm.tell)
-    small, full = search(found_by, 5), search(algorithm._replace(ask=ask, tell=tell), 5)
+    small, full = search(found_by), search(algorithm._replace(ask=ask, tell=tell))
     store, most = small.archives.store, len(full.archives.store.used)
     rows, used = len(store.used), int(store.used.sum())
     assert used <= rows < min(most, 2 * (used + algorithm.batch_size))

@@ -68,9 +68,9 @@ def test_fields_make_room_for_others_and_grow_where_that_is_too_little(shape):
     assert sorted(used) == list(range(1, len(fields.steps)))
 
 
-def snake(rows: int, cols: int) -> np.ndarray:
-    """Draw one winding corridor (bool [rows, cols]) within a ring of walls."""
-    free = np.zeros((rows, cols), bool)
+def snake() -> np.ndarray:
+    """Draw one winding corridor of 257 x 262 cells (bool [259, 264]) within a ring of walls."""
+    free = np.zeros((259, 264), bool)
     free[1:-1:2, 1:-1] = True
     free[2:-1:4, -2] = free[4:-1:4, 1] = True
     return free
@@ -78,7 +78,7 @@ def snake(rows: int, cols: int) -> np.ndarray:
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_ways_longer_than_a_short_integer_are_counted_in_full(reverse):
-    free = snake(259, 264)  # 257 x 262 and a ring of walls
+    free = snake()
     cells = np.flatnonzero(free)
     goal = int(cells[-1 if reverse else 0])
     grid = grid_of(free, np.array([goal]))
@@ -91,7 +91,7 @@ def test_ways_longer_than_a_short_integer_are_counted_in_full(reverse):
 
 @pytest.mark.slow
 def test_xla_measures_large_grids_with_longer_integers():
-    free = snake(259, 264)
+    free = snake()
     free[16:] = False  # a part of it, which XLA fills in a second
     cells, walls = np.flatnonzero(free), np.flatnonzero(~free)
     (found,) = goal_distances(jnp.asarray(free), jnp.array([cells[0]]), jnp.array([True]))

@@ -37,6 +37,7 @@ RULES = ("published", "plain")
 SOME, EVERY = some_choice_works, every_choice_works
 MOST = 3000  # searches of the oracle per instance
 DEPTH = 300  # of the planner's tree
+NODES = 20_000
 INSTANCES = 200
 
 
@@ -77,7 +78,7 @@ def can(works, maze: Maze) -> bool | None:
         return None
 
 
-def run_of(instance: Instance, seed: int = 0) -> HostRun:
+def run_of(instance: Instance) -> HostRun:
     """Make the run of an instance's one window; each agent has two kinds of goal of its own."""
     agents, (_, cols) = instance.agents, instance.free.shape
     count, horizon = len(agents), instance.horizon
@@ -92,7 +93,7 @@ def run_of(instance: Instance, seed: int = 0) -> HostRun:
     world = World(np.pad(instance.free, 1), table, None, np.bool_(True), 1, costs)
     kinds = np.int32, np.int32, np.bool_, np.int32
     block = Block(*(np.zeros((horizon, count), kind) for kind in kinds))
-    settings = RunSettings(seed, horizon, instance.window, horizon, True)
+    settings = RunSettings(0, horizon, instance.window, horizon, True)
     run = make_run(world, settings, count, block)
     run.position[:] = pad(np.array([agent.start for agent in agents]), cols, 1)
     run.kind[:] = np.arange(0, 2 * count, 2)
@@ -101,12 +102,12 @@ def run_of(instance: Instance, seed: int = 0) -> HostRun:
     return run
 
 
-def plan(instance: Instance, rule: str, seed: int = 0, node_limit: int = 20_000) -> Answer:
+def plan(instance: Instance, rule: str, seed: int = 0) -> Answer:
     """Plan one window."""
     run, (height, width) = run_of(instance), instance.free.shape
     count, shape = len(instance.agents), (height + 2, width + 2)
     fields = empty_fields(shape, 2 * count, 2 * count, has_costs=instance.costs is not None)
-    work = make_workspace(run, PbsConfig(rule, node_limit / count), DEPTH)
+    work = make_workspace(run, PbsConfig(rule, NODES / count), DEPTH)
     collect_goals(run, fields, work.goals)
     solved = bool(solve(work, fields, run.grid, seed))
     assert not work.numbers.is_full, "more depth is needed"

@@ -108,11 +108,10 @@ def test_the_worst_cells_come_first_with_their_share_and_wait_per_visit():
     assert worst_cells(layout, calm) == [] and cells_with_half(calm) == 0
 
 
-def run_of(finished, congested=False, end=None) -> Traffic:
+def run_of(finished) -> Traffic:
     """A run that finishes so many tasks at each timestep."""
     finished = np.array(finished)
-    steps = len(finished) if end is None else end
-    return Traffic(finished.mean(), congested, steps, finished, None, 0.0, 2.0)
+    return Traffic(finished.mean(), False, len(finished), finished, None, 0.0, 2.0)
 
 
 def test_throughput_over_time_is_averaged_in_windows_over_the_runs():
