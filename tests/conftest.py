@@ -1,7 +1,9 @@
 """What every test runs under: strict numerics, and where layouts lie."""
 
 import gc
+import json
 import os
+import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -159,6 +161,14 @@ def opened() -> Iterator[Callable[..., AbstractContextManager]]:
 
     with start_browser() as browser:
         yield open_one
+
+
+def facts_of(*words: str) -> dict:
+    """Run a command that must succeed, and return the facts that it writes."""
+    with tempfile.TemporaryDirectory() as place:
+        facts = Path(place) / "facts.json"
+        assert qdenv([*words, "--json", str(facts)]) == 0
+        return json.loads(facts.read_text())
 
 
 def refusal(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:

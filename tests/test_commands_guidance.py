@@ -1,10 +1,10 @@
 """--guidance: which costs of moves a study drives by, in all commands that simulate a fleet."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import facts_of
 
 import qdenv
 from qdenv.cli.main import run
@@ -25,11 +25,6 @@ def plans(folder) -> Path:
     qdenv.Layout(HALL, WAREHOUSE, costs=crisscross(HALL)).save("guided.json")
     qdenv.Layout(HALL, WAREHOUSE, costs=crisscross(HALL)).save("costs.csv")
     return folder
-
-
-def facts_of(*command):
-    assert run([*command, "--json", "f.json"]) == 0
-    return json.loads(Path("f.json").read_text())
 
 
 @pytest.mark.slow

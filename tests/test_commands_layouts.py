@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import read_layout, refusal
+from conftest import facts_of, read_layout, refusal
 from matplotlib.image import imread
 
 import qdenv
@@ -144,8 +144,7 @@ def test_every_format_is_checked_alike(folder, capsys):
     meanings = find_domain("warehouse-even").meanings
     for ending in (".json", ".txt", ".csv"):
         write_layout(folder / f"human{ending}", layout, TILES, meanings)
-        assert run(["check", f"human{ending}", "--json", "facts.json"]) == 0
-        facts = json.loads((folder / "facts.json").read_text())
+        facts = facts_of("check", f"human{ending}")
         assert facts["valid"] and facts["broken"] == [] and facts["command"] == "check"
         assert facts["settings"]["domain"] == "hall"
     capsys.readouterr()
@@ -161,10 +160,8 @@ def test_every_format_is_checked_alike(folder, capsys):
 def test_a_check_remarks_on_what_is_risky_without_failing(folder, capsys):
     plan = [".........", "w.@e@...w", ".........", ".........", "........."]
     (folder / "pocket.txt").write_text("\n".join(plan))
-    arguments = ["--plot", "pocket.svg", "--json", "facts.json"]
-    assert run(["check", "pocket.txt", *arguments]) == 0
+    facts = facts_of("check", "pocket.txt", "--plot", "pocket.svg")
     said = capsys.readouterr().out
-    facts = json.loads((folder / "facts.json").read_text())
     assert [one["kind"] for one in facts["remarks"]] == ["narrow"]
     assert f"remark: {facts['remarks'][0]['message']}\n" in said
     assert facts["remarks"][0]["cells"] == [[0, 2], [0, 3], [0, 4], [1, 3]]
@@ -202,9 +199,8 @@ def test_a_layout_of_another_domain_needs_no_option(folder, capsys):
 
 def test_a_maze_has_no_rules_to_break(folder, capsys):
     (folder / "maze.txt").write_text("###\n# #\n###\n")
-    assert run(["check", "maze.txt", "--domain", "maze-walls", "--json", "facts.json"]) == 0
+    assert facts_of("check", "maze.txt", "--domain", "maze-walls")["rules"] is False
     assert "have no rules, none is broken" in capsys.readouterr().out
-    assert json.loads((folder / "facts.json").read_text())["rules"] is False
 
 
 @pytest.mark.slow

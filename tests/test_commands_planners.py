@@ -1,11 +1,11 @@
 """Who plans: a planner and its settings by command or function, and what reports call it."""
 
-import json
 import re
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import pytest
+from conftest import facts_of
 from small_warehouse import ROWS as PLAN
 from small_warehouse import TILES
 
@@ -168,8 +168,8 @@ def test_facts_of_a_study_hold_all_settings_of_its_planner(folder, capsys):
     Path("plan.txt").write_text("\n".join(PLAN))
     short = ["--agents", "3", "--timesteps", "20", "--seeds", "1", "--planner", "pibt"]
     for command in STUDIES:
-        assert run([command, "plan.txt", *short, "--no-stop", "--json", "f.json"]) == 0
-        said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
+        facts = facts_of(command, "plan.txt", *short, "--no-stop")
+        said = capsys.readouterr().out
         own = {"name": "pibt", "backend": "auto", "swap": False}
         assert facts["settings"]["planner"] == own
         assert facts["settings"]["stop"] is False

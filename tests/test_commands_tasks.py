@@ -1,10 +1,10 @@
 """What robots do at their goals: settings of a domain as options of commands that simulate."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import facts_of
 
 from qdenv.cli.main import run
 from qdenv.configurations import find_preset
@@ -36,8 +36,7 @@ def factory(folder) -> Path:
 @pytest.mark.slow
 def test_stays_of_a_factory_are_options_and_arguments(factory, capsys):
     def finished(*more):
-        assert run(["simulate", "factory.json", *WORDS, "--json", "f.json", *more]) == 0
-        facts = json.loads(Path("f.json").read_text())
+        facts = facts_of("simulate", "factory.json", *WORDS, *more)
         assert facts["valid"] is True
         return [one["finished_tasks"] for one in facts["runs"]], facts["settings"].get("tasks")
 
@@ -75,8 +74,8 @@ def hall(folder) -> Path:
     return folder
 
 
-def goals_of(tasks, seeds=10):
-    """Simulate robots in the hall; count how often each cell was a goal, and all tasks."""
+def goals_of(tasks):
+    """Simulate robots ten times; count how often each cell was a goal, and all tasks."""
     plan = with_tasks(read_plan("plan.txt"), tasks)
     config = FleetConfig(3, 2000, stop_when_congested=False)
     rule, counts = plan.domain.simulator.tasks, np.zeros(plan.layout.size, int)
@@ -85,7 +84,7 @@ def goals_of(tasks, seeds=10):
         assert audit(plan.layout, rule, recording, traffic) == []
         np.add.at(counts, recording.goals[:-1][recording.finished], 1)
 
-    done = run_seeds(plan.layout, rule, config, range(seeds), read=read)
+    done = run_seeds(plan.layout, rule, config, range(10), read=read)
     return counts.reshape(plan.layout.shape), sum(run.finished.sum() for run in done.runs)
 
 
@@ -107,8 +106,7 @@ def test_options_of_a_hall_are_its_settings(hall, capsys):
     Path("orders.csv").write_text("row,column\n1,2\n1,3\n2,6\n")
     command = ["simulate", "plan.txt", "--agents", "3", "--timesteps", "200", "--seeds", "2"]
     more = ["--pick", "3", "--drop", "i=9,o=4", "--shares", "i=1", "--demand", "orders.csv"]
-    assert run([*command, *more, "--no-verdict", "--json", "f.json"]) == 0
-    facts = json.loads(Path("f.json").read_text())
+    facts = facts_of(*command, *more, "--no-verdict")
     assert facts["valid"] is True
     tasks = facts["settings"]["tasks"]
     assert (tasks["pick"], tasks["drop"], tasks["shares"]) == (3, "i=9,o=4", "i=1")
@@ -185,8 +183,7 @@ def test_facts_of_a_plan_are_its_tasks_and_comparisons_have_those_of_the_first(h
 @pytest.mark.slow
 def test_tasks_that_arrive_at_a_rate_leave_robots_idle(hall, capsys):
     command = ["simulate", "plan.txt", "--agents", "3", "--timesteps", "400", "--seeds", "4"]
-    assert run([*command, "--task-rate", "0.1", "--paths", "p.csv", "--json", "f.json"]) == 0
-    facts = json.loads(Path("f.json").read_text())
+    facts = facts_of(*command, "--task-rate", "0.1", "--paths", "p.csv")
     assert facts["valid"] is True and facts["settings"]["tasks"] == {"task_rate": 0.1}
     assert facts["mean_of_all"] == pytest.approx(0.1, rel=0.25)
     assert 0.3 < facts["idle_share"] < 0.9 and 2 < facts["order_wait"] < 20

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
+from conftest import facts_of
 from matplotlib.image import imread
 
 from qdenv.cli.main import run
@@ -12,7 +13,7 @@ from qdenv.domains.base import find_domain
 from qdenv.grid import parse
 from qdenv.io.layouts import write_layout
 
-WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
+WAREHOUSE = find_domain("warehouse-even")
 LANE = parse(["w...@@@@@...e", "w.........e.e", "w...@@@@@...e"], WAREHOUSE.tiles)
 HALL = parse(["w...........e", "w.........e.e", "w...........e"], WAREHOUSE.tiles)
 QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "3"]
@@ -52,12 +53,11 @@ def test_simulate_says_where_it_jams_and_whether_more_would_help(plans, capsys):
 
 @pytest.mark.slow
 def test_a_run_that_goes_on_after_congestion_counts_all_its_tasks(plans, capsys):
-    def facts_of(*more):
-        command = ["simulate", "lane.json", "--agents", "20", *QUICK, "--json", "f.json", *more]
-        assert run(command) == 0
-        return json.loads(Path("f.json").read_text()), capsys.readouterr().out
-
-    (ended, _), (whole, said) = facts_of(), facts_of("--no-stop", "--plot", "p.svg")
+    command = ["simulate", "lane.json", "--agents", "20", *QUICK]
+    ended = facts_of(*command)
+    capsys.readouterr()
+    whole = facts_of(*command, "--no-stop", "--plot", "p.svg")
+    said = capsys.readouterr().out
     assert ended["success_rate"] == whole["success_rate"] == 0 and whole["valid"] is True
     for one, other in zip(ended["runs"], whole["runs"], strict=True):
         assert one["congested_at"] == one["end_timestep"] == other["congested_at"] < 120
@@ -90,17 +90,14 @@ def test_tables_of_runs_that_go_on_average_all_of_them(plans, capsys, command):
 
 @pytest.mark.slow
 def test_simulate_without_verdict_and_audit_gives_the_same_numbers(plans, capsys):
-    def facts_of(*more):
-        command = ["simulate", "lane.json", "--agents", "6", *QUICK, "--json", "f.json", *more]
-        assert run(command) == 0
-        return json.loads(Path("f.json").read_text())
-
-    whole, bare = facts_of(), facts_of("--no-verdict", "--no-audit")
+    command = ["simulate", "lane.json", "--agents", "6", *QUICK]
+    whole, bare = facts_of(*command), facts_of(*command, "--no-verdict", "--no-audit")
     assert whole["runs"] == bare["runs"] and whole["valid"] is True and bare["valid"] is None
     assert [point["agents"] for point in whole["evidence"]] == [6, 4, 8]
     assert not {"verdict", "worst_cells"} & bare.keys()
     capsys.readouterr()
-    assert facts_of("--no-audit", "--plot", "p.svg")["worst_cells"] == whole["worst_cells"]
+    drawn = facts_of(*command, "--no-audit", "--plot", "p.svg")
+    assert drawn["worst_cells"] == whole["worst_cells"]
     assert Path("p.svg").read_text().count("time in which one waits here") == 1
 
 
@@ -135,8 +132,8 @@ def test_a_plan_with_few_robots_is_compared_with_about_as_many(plans):
 
 
 def test_sweep_says_where_the_peak_is_and_how_many_are_worth_it(plans, capsys):
-    assert run(["sweep", "lane.json", "--agents", "14,2,4", *QUICK, "--json", "f.json"]) == 0
-    said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
+    facts = facts_of("sweep", "lane.json", "--agents", "14,2,4", *QUICK)
+    said = capsys.readouterr().out
     assert facts["peak"]["agents"] == facts["worth_it_up_to"] == 4
     assert facts["peak"]["dropped"] is True
     assert f"lane: peak {facts['peak']['throughput']:.3f} tasks per timestep at 4 agents\n" in said
@@ -157,8 +154,8 @@ def test_throughput_that_falls_with_time_asks_for_more_timesteps(plans, capsys, 
 
 def test_scalability_reports_peaks_as_facts(plans, capsys):
     command = ["scalability", "lane.json", "hall.json", "--agents", "2,4,900", *QUICK]
-    assert run([*command, "--json", "f.json", "--plot", "s.pdf"]) == 0
-    said, facts = capsys.readouterr().out, json.loads(Path("f.json").read_text())
+    facts = facts_of(*command, "--plot", "s.pdf")
+    said = capsys.readouterr().out
     assert [peak["layout"] for peak in facts["peaks"]] == ["lane", "hall"]
     assert "hall: peak " in said and "still rising at the last number of agents: try more" in said
     assert Path("s.pdf").read_bytes().startswith(b"%PDF")

@@ -1,9 +1,9 @@
 """Facts about a plan: lines of TOML above the drawing or beside it, and what qdenv writes there."""
 
-import json
 from pathlib import Path
 
 import pytest
+from conftest import facts_of
 
 from qdenv.cli.main import run
 from qdenv.configurations import find_preset
@@ -55,15 +55,13 @@ def test_what_is_above_counts_more_than_what_is_beside():
     assert read_plan("plan.txt").facts.robots == 5
 
 
-def test_facts_are_defaults_and_options_win(capsys):
+def test_facts_are_defaults_and_options_win():
     save()
-    fast = ["--timesteps", "20", "--seeds", "1", "--effort", "low", "--no-verdict", "--json", "f"]
-    assert run(["simulate", "plan.txt", *fast]) == 0
-    facts = json.loads(Path("f").read_text())
+    fast = ["--timesteps", "20", "--seeds", "1", "--effort", "low", "--no-verdict"]
+    facts = facts_of("simulate", "plan.txt", *fast)
     assert facts["agents"] == 5
     assert facts["tasks_per_hour"] == pytest.approx(facts["mean_throughput"] * 2400)
-    assert run(["simulate", "plan.txt", "--agents", "3", "--seconds-per-step", "3", *fast]) == 0
-    facts = json.loads(Path("f").read_text())
+    facts = facts_of("simulate", "plan.txt", "--agents", "3", "--seconds-per-step", "3", *fast)
     assert facts["agents"] == 3
     assert facts["tasks_per_hour"] == pytest.approx(facts["mean_throughput"] * 1200)
     assert Fleet({}).per_hour is None
@@ -101,7 +99,7 @@ def test_results_in_text_remember_what_must_stay(ending):
     assert read_plan(f"even{ending}").domain.name == "warehouse-even"
 
 
-def test_a_file_of_hers_is_not_replaced(caplog):
+def test_a_file_of_hers_is_not_replaced():
     save(facts=None, rows=TILES)
     Path("new.toml").write_text("robots = 3")
     assert run(["repair", "plan.txt", "--keep", "0:2,0:6", "--out", "new.txt"]) == 0

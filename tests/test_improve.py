@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import facts_of
 
 import qdenv
 from qdenv import interrupt
@@ -43,17 +44,12 @@ def plan(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def only_floor():
-    """One search of the four: each compiles for ten seconds."""
+def done(plan, tmp_path_factory):
+    """One search of the four, for the whole module: each compiles for ten seconds."""
+    folder = tmp_path_factory.mktemp("improve") / "better"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(studies, "SECTIONS", {"floor": studies.SECTIONS["floor"]})
-        yield
-
-
-@pytest.fixture(scope="module")
-def done(plan, tmp_path_factory, only_floor):
-    folder = tmp_path_factory.mktemp("improve") / "better"
-    return qdenv.improve(plan, path=folder, evaluations=128, **QUICK), folder
+        yield qdenv.improve(plan, path=folder, evaluations=128, **QUICK), folder
 
 
 def test_a_better_floor_is_found_and_written_as_the_plan_came(done, plan):
@@ -163,9 +159,7 @@ def test_an_hour_of_an_engineer(done, plan, folder):
     better = str(done[1] / "a_new_floor.txt")
     for layout in (str(plan), better):
         assert run(["check", layout]) == 0
-        simulate = ["simulate", layout, *SHORT[:-1], "--seeds", "2", "--no-verdict"]
-        assert run([*simulate, "--json", "facts.json"]) == 0
-        facts = json.loads(Path("facts.json").read_text())
+        facts = facts_of("simulate", layout, *SHORT[:-1], "--seeds", "2", "--no-verdict")
         assert facts["agents"] == 4
         assert facts["tasks_per_hour"] == pytest.approx(2400 * facts["mean_throughput"])
     assert qdenv.read_plan(better).fitted().config.keep[0] == "w" + "." * 14

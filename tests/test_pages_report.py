@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import facts_of
 from matplotlib.figure import Figure
 from small_warehouse import ROWS, TILES
 
@@ -27,7 +28,7 @@ from qdenv.view.style import to_svg
 pytestmark = pytest.mark.slow
 
 QUICK = ["--planner", "pibt", "--timesteps", "120", "--seeds", "4"]
-WAREHOUSE, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
+WAREHOUSE = find_domain("warehouse-even")
 PIBT = PibtConfig()
 HEADINGS = [
     "In short",
@@ -58,7 +59,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def facts(folder):
     """The facts of a report on the plan with 12 robots, and of the commands it stands for."""
-    command = ["--agents", "12", *QUICK, "--json"]
+    command = ["--agents", "12", *QUICK]
     plan, human = str(folder / "plan.json"), str(folder / "hand-made.json")
     other = {
         "report": ["report", plan, "--out", str(folder / "r.html"), *command],
@@ -67,9 +68,7 @@ def facts(folder):
         "compare": ["compare", human, plan, "--out", str(folder / "c.csv"), *command],
     }
     other["sweep"][other["sweep"].index("12")] = "6:18:3"
-    for name, line in other.items():
-        assert run([*line, str(folder / f"{name}.json")]) == 0
-    return {name: json.loads((folder / f"{name}.json").read_text()) for name in other}
+    return {name: facts_of(*line) for name, line in other.items()}
 
 
 def cells(shown, table):
@@ -224,12 +223,10 @@ def test_one_run_has_no_interval_and_says_none(folder, opened):
     assert "nan" not in text.lower() and "(seed 7)" in text
 
 
-def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, capsys, opened):
+def test_a_maze_has_the_agents_success_as_evaluate_agent_says_it(folder, opened):
     maze, page = str(folder / "maze.txt"), folder / "maze.html"
-    assert run(["evaluate-agent", maze, "--json", str(folder / "e.json")]) == 0
-    assert run(["report", maze, "--out", str(page), "--json", str(folder / "m.json")]) == 0
-    said = json.loads((folder / "e.json").read_text())
-    facts = json.loads((folder / "m.json").read_text())["layouts"]["maze"]
+    said = facts_of("evaluate-agent", maze)
+    facts = facts_of("report", maze, "--out", str(page))["layouts"]["maze"]
     for name in ("rate", "low", "high", "runs", "mean_length", "shortest"):
         assert facts[name] == said[name]
     with opened(page) as shown:

@@ -1,10 +1,10 @@
 """What studies of traffic take where nobody says it: usual numbers, and those a size knows."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import facts_of
 
 import qdenv
 from qdenv.cli.main import run
@@ -12,7 +12,7 @@ from qdenv.domains.base import find_domain
 from qdenv.io.layouts import write_layout
 from qdenv.study.options import usual_fleet
 
-EVEN, MAZE = find_domain("warehouse-even"), find_domain("maze-walls")
+EVEN = find_domain("warehouse-even")
 LARGE, SMALL = np.zeros((101, 102), np.int8), np.zeros((33, 36), np.int8)
 LINE = "101 x 102 is the paper's evaluation size: "
 
@@ -43,11 +43,10 @@ def hall(folder) -> Path:
 @pytest.mark.slow
 def test_commands_and_functions_take_them_and_say_so(hall, capsys):
     quick = ["--timesteps", "6", "--seeds", "1", "--planner", "pibt"]
-    assert run(["simulate", str(hall), "--no-verdict", *quick, "--json", "f.json"]) == 0
+    assert facts_of("simulate", str(hall), "--no-verdict", *quick)["agents"] == 1400
     said = capsys.readouterr().out
     assert said.startswith("1400 agents, 6 timesteps, 1 seed, ")
     assert said.splitlines()[1] == f"{LINE}1400 agents unless stated"
-    assert json.loads(Path("f.json").read_text())["agents"] == 1400
     assert run(["compare", str(hall), *quick]) == 0
     assert f"{LINE}1400 agents unless stated" in capsys.readouterr().out
     facts = qdenv.simulate(hall, timesteps=6, seeds=1, planner="pibt")

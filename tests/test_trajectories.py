@@ -5,7 +5,7 @@ import random
 
 import numpy as np
 import pytest
-from conftest import STUDY_DATA
+from conftest import STUDY_DATA, facts_of
 
 import qdenv
 from qdenv.cli.main import run as cli
@@ -33,8 +33,7 @@ def test_a_simulated_run_is_written_read_back_and_valid(ending, tmp_path, capsys
     layout, paths = tmp_path / "plan.json", tmp_path / f"paths{ending}"
     write_layout(layout, warehouse.human(), warehouse.tiles)
     words = f"--robots 8 --timesteps 40 --seeds 3,4 --no-verdict --paths {paths}".split()
-    assert cli(["simulate", str(layout), *words, "--json", str(tmp_path / "facts.json")]) == 0
-    facts = json.loads((tmp_path / "facts.json").read_text())
+    facts = facts_of("simulate", str(layout), *words)
     assert str(paths) in capsys.readouterr().out
     checked = qdenv.audit_run(paths, layout)
     assert checked == [] and checked.facts["valid"] and checked.exit_code == 0
