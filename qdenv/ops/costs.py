@@ -10,7 +10,6 @@ CPU seconds on one core of a cloud machine, for what runs of the presets took in
 """
 
 import contextlib
-import dataclasses
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +22,7 @@ from qdenv.domains.base import make_domain
 from qdenv.io.files import write_json
 from qdenv.io.records import read_json
 from qdenv.ops.output import format_duration
-from qdenv.run.config import RunConfig, planner_of
+from qdenv.run.config import RunConfig, override, planner_of
 from qdenv.run.directory import Metrics
 from qdenv.search.registry import ALGORITHMS
 from qdenv.simulation.mapf.negotiated.settings import LOW
@@ -106,9 +105,8 @@ def remember_cost(config: RunConfig, rows: Sequence[Metrics]) -> None:
 
 def _key(config: RunConfig) -> str:
     """Hash the settings that the time of an evaluation depends on, but not where it runs."""
-    repair = dataclasses.replace(config.evaluation.repair, workers=None)
-    evaluation = dataclasses.replace(config.evaluation, repair=repair, alpha=0.0)
-    name = ALGORITHMS.name_of(config.algorithm)
+    ignored = {"evaluation__repair__workers": None, "evaluation__alpha": 0.0}
+    evaluation, name = override(config, ignored).evaluation, ALGORITHMS.name_of(config.algorithm)
     return hashlib.blake2b(repr((evaluation, name, config.algorithm)).encode()).hexdigest()[:16]
 
 

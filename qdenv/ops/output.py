@@ -249,10 +249,8 @@ class Table(list):
 
     def __repr__(self) -> str:
         """Return the rows as an aligned table."""
-        rows = [_single_values(row._asdict()) for row in self]
-        names = dict.fromkeys(name for row in rows for name in row)
-        lines = [names, *([row.get(name, "") for name in names] for row in rows)]
-        return "\n".join(format_table(map(list, lines))) if rows else "Table(no rows)"
+        lines = format_table(_lines_of([row._asdict() for row in self]))
+        return "\n".join(lines) if self else "Table(no rows)"
 
     def to_pandas(self) -> Any:
         """Make a pandas data frame, a line for each row; InputError if pandas is not installed."""
@@ -276,13 +274,18 @@ class UnsolvedError(InputError):
 
 def _table_html(records: Sequence[Mapping[str, Any]]) -> str:
     """Draw records as a table: one as a list of its entries, several with a row for each."""
-    rows = [_single_values(record) for record in records]
-    names = dict.fromkeys(name for row in rows for name in row)
-    lines: list[Iterable[str]] = [names, *([row.get(name, "") for name in names] for row in rows)]
-    if len(rows) == 1:
-        lines = [*rows[0].items()]
+    lines: Iterable[Sequence[str]] = _lines_of(records)
+    if len(records) == 1:
+        lines = zip(*lines, strict=True)
     cells = ["".join(f"<td>{html.escape(cell)}</td>" for cell in line) for line in lines]
     return "<table>" + "".join(f"<tr>{line}</tr>" for line in cells) + "</table>"
+
+
+def _lines_of(records: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """List the names of all single values, then those of each record."""
+    rows = [_single_values(record) for record in records]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return [names, *([row.get(name, "") for name in names] for row in rows)]
 
 
 def _single_values(facts: Mapping[str, Any]) -> dict[str, str]:

@@ -22,7 +22,7 @@ from qdenv.ops.improve import SETTINGS, improve_folder
 from qdenv.ops.networks import train_agent
 from qdenv.ops.output import PICTURES, Result, format_table, place, say
 from qdenv.ops.runs import plot_one
-from qdenv.run.config import planner_of, resolve
+from qdenv.run.config import override, planner_of, resolve
 from qdenv.run.directory import RunDirectory, find_start
 from qdenv.run.executors import Execution
 from qdenv.search.registry import ALGORITHMS
@@ -135,8 +135,7 @@ def train(
     execution = dataclasses.replace(execution, workers=config.evaluation.repair.workers)
     if keep is not None and plan is None:
         kept = keep_from(keep, make_domain(config.evaluation.domain))
-        evaluation = dataclasses.replace(config.evaluation, domain=kept.config)
-        config = dataclasses.replace(config, evaluation=evaluation)
+        config = override(config, {"evaluation__domain": kept.config})
     fresh = path is None
     path = Path(f"runs/{name}-{datetime.now():%Y%m%d-%H%M%S}" if path is None else path)
     if path.as_posix().startswith(PREFIX):

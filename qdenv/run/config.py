@@ -176,12 +176,10 @@ def choose_planner(config: RunConfig, effort: str | None, planner: Any) -> RunCo
     """
     if effort is None and planner is None:
         return config
-    domain = config.evaluation.domain
-    if domain.fleet is None:
+    if config.evaluation.domain.fleet is None:
         raise InputError("no fleet drives in this domain: leave effort and planner out")
     chosen = find_planner(effort, planner or "", usual="low")
-    domain = replace(domain, fleet=replace(domain.fleet, planner=chosen))
-    return replace(config, evaluation=replace(config.evaluation, domain=domain))
+    return _replaced(config, {("evaluation", "domain", "fleet", "planner"): chosen})
 
 
 def planner_of(config: RunConfig) -> Any:

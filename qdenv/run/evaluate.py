@@ -13,7 +13,6 @@ import statistics
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -31,7 +30,7 @@ from qdenv.pipeline import (
     joined,
     make_pipeline,
 )
-from qdenv.run.config import RunConfig, config_from_json, config_to_json
+from qdenv.run.config import RunConfig, config_from_json, config_to_json, override
 from qdenv.run.executors import REMEMBERED, ClusterExecutor, Execution, Task
 from qdenv.run.experiment import observed
 from qdenv.search.base import Algorithm
@@ -120,9 +119,8 @@ class Cluster:
         self._client, self._progress = client, progress
         self.executor = ClusterExecutor(client, self._note)
         self._seconds: deque[float] = deque(maxlen=REMEMBERED)  # of recent layouts
-        evaluation = config.evaluation
-        alone = replace(evaluation, repair=replace(evaluation.repair, workers=1))
-        self._settings = json.dumps(config_to_json(replace(config, evaluation=alone)))
+        alone = override(config, {"evaluation__repair__workers": 1})
+        self._settings = json.dumps(config_to_json(alone))
 
     def __call__(
         self, unrepaired: np.ndarray, key: Array, solutions: np.ndarray | None = None
