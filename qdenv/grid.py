@@ -68,15 +68,12 @@ def inside_frame(layout: Array, margin: tuple[int, int]) -> Array:
 
 
 def pad(positions: Cells, cols: int, margin: int) -> Cells:
-    """Translate positions of a layout of `cols` columns into those with a margin (any shape)."""
+    """Translate positions of a layout of `cols` columns into those with a margin (any shape).
+
+    With the columns of the padded layout, a negative margin takes it off again.
+    """
     row, column = positions // cols, positions % cols
     return (row + margin) * (cols + 2 * margin) + column + margin
-
-
-def unpad(positions: Cells, cols: int, margin: int) -> Cells:
-    """Translate positions of a layout with a margin into those without, the inverse of `pad`."""
-    row, column = positions // (cols + 2 * margin), positions % (cols + 2 * margin)
-    return (row - margin) * cols + column - margin
 
 
 def parse(rows: Sequence[str], tiles: str, known: str = "") -> np.ndarray:

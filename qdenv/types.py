@@ -71,15 +71,15 @@ def about(name: str) -> Iterator[None]:
 
 def look_up(table: Mapping[str, Any], name: str, what: str) -> Any:
     """Look `name` up in a table, or raise InputError, which lists the choices."""
-    if name not in table:
-        raise InputError(f"unknown {what} {name!r}: {choices(str(name), table)}")
+    if name not in list(table):  # it may be anything in Python
+        raise InputError(f"unknown {what} {name!r}: {choices(name, table)}")
     return table[name]
 
 
 def choices(name: str, known: Iterable[str]) -> str:
     """List the choices, the likeliest first if `name` looks like a typing error."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, 1)
+    close = difflib.get_close_matches(str(name), known, 1)
     guess = f"did you mean {close[0]}? " if close else ""
     return f"{guess}choose one of {', '.join(known)}"
 

@@ -157,6 +157,14 @@ def test_mistakes_of_python_get_one_line_too(path):
     for function in (qdenv.simulate, qdenv.sweep):
         with pytest.raises(InputError, match="width 50: write column"):
             function(path, 2, plot="a.png", width=50)
+    with pytest.raises(InputError, match="an array: costs of moves have the shape"):
+        qdenv.simulate(path, 2, guidance=[[1], [2, 3]])
+    with pytest.raises(InputError, match=r"rows must be an integer, not 33\.5"):
+        qdenv.layout_human(33.5, 36)
+    with pytest.raises(InputError, match=r"unknown domain \['hall'\]: did you mean hall"):
+        qdenv.layout_human(33, 36, domain=["hall"])
+    with pytest.raises(TypeError, match="integer"):  # a seed is not cut off
+        qdenv.repair(path, seed=1.5)
     with pytest.raises(InputError, match="tasks are settings by name"):
         qdenv.simulate(path, 2, tasks="pick=3")
     for none in ((), []):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qdenv.agent.settings import LevelConfig
-from qdenv.grid import count_neighbours, fixed_point, move_steps, pad, unpad
+from qdenv.grid import count_neighbours, fixed_point, move_steps, pad
 from qdenv.simulation.maze import world
 from qdenv.simulation.maze.world import EMPTY, GOAL, REACH, WALL
 from qdenv.types import Array
@@ -91,7 +91,7 @@ def far_pair(key: jax.Array, layout: jax.Array) -> world.Course:
     gap = _distances(kinds, one)
     two = jnp.argmax(jnp.where(gap < _UNSEEN, gap, -1))
     length = jnp.where(useful[-1] > 0, gap[two], 0)
-    start, goal = unpad(jnp.sort(jnp.stack([one, two])), n, REACH).astype(jnp.int32)
+    start, goal = pad(jnp.sort(jnp.stack([one, two])), n + 2 * REACH, -REACH).astype(jnp.int32)
     return world.Course(start, goal, length)
 
 

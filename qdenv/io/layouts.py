@@ -11,9 +11,10 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import numpy as np
+from annotated_types import Interval
 
 from qdenv.grid import draw, parse
 from qdenv.io.facts import FENCE, facts_beside, make_facts
@@ -21,6 +22,7 @@ from qdenv.io.files import MEGABYTE, damaged, parsing, read_text, write_atomical
 from qdenv.io.formats import ALL_ENDINGS, LIBRARIES, READ_ENDINGS, find_reader, holds, write_drawing
 from qdenv.io.guidance import TABLE_HEAD, costs_of, read_table, weights_of, write_table
 from qdenv.io.records import parse_json, structured
+from qdenv.ranges import check_range
 from qdenv.types import Array, DamagedError, InputError, Tile, about
 
 ENDINGS = (".json", ".txt", ".csv", ".map")  # of layout files; `io.formats` has the others
@@ -78,6 +80,8 @@ def read_drawing(path: str | Path, form: str | None = None) -> Drawing:
 
 def check_size(rows: int, cols: int, place: str = "") -> None:
     """Raise InputError, which begins with `place`, for a size that no layout may have."""
+    for name, side in (("rows", rows), ("columns", cols)):
+        check_range(name, side, Annotated[int, Interval()])
     if max(rows, cols) > MAX_SIDE:
         reason = f"more than {MAX_SIDE} rows or columns are not supported"
         raise InputError(f"{place}{rows} x {cols}: {reason}")

@@ -125,7 +125,7 @@ def place_table(
 
 def place_folder(out: str | Path, default: str) -> Path:
     """Choose the folder of several results; raise InputError if it is a file, or read-only."""
-    folder = reserve(Path(default), folder=True) if Path(out) == AUTO else Path(out)
+    folder = reserve(Path(default), folder=True) if out in (True, AUTO) else Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: that is a file: name a folder")
     refuse_inside(folder)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from shlex import quote
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -88,12 +87,10 @@ def plot_one(
     """Draw a run's pictures, into its own folder unless another is given, and log its figures."""
     if folder is None:
         refuse_links(run.path)
-    rows = run.read_metrics()
-    if not rows:
-        raise InputError(f"{run}: nothing is done yet; `qdenv resume {quote(str(run))}` begins")
+    last = run.read_progress()[-1]
     from qdenv.view.runs import plot_run  # imports matplotlib
 
-    pictures, last = plot_run(run, folder, form, width), rows[-1]
+    pictures = plot_run(run, folder, form, width)
     say(
         f"QD-score {last.qd_score:.2f}, coverage {last.coverage:.1%}, best objective "
         f"{last.best_objective:.3f} after {last.evaluations} evaluations in {last.seconds:.0f} s",

@@ -6,6 +6,7 @@ bounds how low a cost can be. Where annealing fails too, it decides whether any 
 """
 
 import hashlib
+import operator
 import time
 from collections.abc import Iterator
 
@@ -55,7 +56,7 @@ def hash_content(layout: np.ndarray, seed: int, size: int) -> bytes:
     the one that would be computed again.
     """
     digest = hashlib.blake2b(layout.tobytes(), digest_size=size)
-    digest.update(repr((layout.shape, int(seed))).encode())
+    digest.update(repr((layout.shape, operator.index(seed))).encode())
     return digest.digest()
 
 

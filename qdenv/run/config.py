@@ -113,8 +113,9 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
         if name in ("effort", "planner"):
             config = choose_planner(config, settings.get("effort"), settings.get("planner"))
             continue
-        if name in _CHOICES and isinstance(value, str):
-            value = _CHOICES[name].config(value)
+        if name in _CHOICES:
+            value = _CHOICES[name].config(value) if isinstance(value, str) else value
+            _CHOICES[name].name_of(value)  # it refuses what is none
         every = list(_field_paths(config))
         paths = [tuple(name.split("__"))] if "__" in name else [p for p in every if p[-1] == name]
         if not paths:

@@ -242,6 +242,12 @@ class RunDirectory:
         """
         return _collect(read_table(self.path / METRICS, Metrics), salvage)
 
+    def read_progress(self) -> list[Metrics]:
+        """Read metrics.csv as `read_metrics` does; InputError if no iteration is finished."""
+        if rows := self.read_metrics():
+            return rows
+        raise InputError(f"{self}: nothing is done yet; `qdenv resume {quote(str(self))}` begins")
+
     def read_notes(self, salvage: bool = False) -> list[Note]:
         """Read notes.csv, the algorithm's own numbers by name, a row for each iteration.
 
@@ -330,7 +336,7 @@ def find_start(config: RunConfig) -> np.ndarray | None:
     """
     if not config.start:
         return None
-    source, found, cell = config.start.rpartition("@")
+    source, found, cell = str(config.start).rpartition("@")
     if not found or "/" in cell:  # the sign may be part of a folder's name
         source, cell = config.start, ""
     run = RunDirectory.open(source)

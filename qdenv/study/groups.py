@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from shlex import quote
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,10 +109,7 @@ def algorithm_name(name: str) -> str:
 
 def _group(label: str, runs: Sequence[RunDirectory]) -> Group:
     """Read the curves of runs at the evaluations of the shortest one."""
-    metrics = [run.read_metrics() for run in runs]
-    for run, rows in zip(runs, metrics, strict=True):
-        if not rows:
-            raise InputError(f"{run}: nothing is done yet; `qdenv resume {quote(str(run))}` begins")
+    metrics = [run.read_progress() for run in runs]
     shortest = min(metrics, key=lambda rows: rows[-1].evaluations)
     evaluations = np.array([row.evaluations for row in shortest])
     # Of each run the last row that it had written by then: batches may differ.

@@ -242,7 +242,10 @@ def guide(plan: Plan, guidance: Any = None) -> Plan:
     if guidance is not None:
         free, name = plan.domain.drivable(plan.layout), str(guidance)
         if not isinstance(guidance, str | Path):
-            plan = plan._replace(costs=np.asarray(guidance, float), guidance="an array")
+            costs = np.empty(0)
+            with contextlib.suppress(TypeError, ValueError):  # rows of several lengths, no numbers
+                costs = np.asarray(guidance, float)
+            plan = plan._replace(costs=costs, guidance="an array")
         elif name in GUIDANCE:
             tasks = plan.domain.simulator.tasks
             assert tasks is not None  # else no cell would be drivable

@@ -80,5 +80,5 @@ def _search(subject: Subject, run: RunDirectory, number: int) -> dict[str, Any]:
         "archive": heat_svg,
         "progress": to_svg(progress, f"progress-{number}"),
         "seed": run.config.seed,
-        "last": run.read_metrics()[-1],
+        "last": run.read_progress()[-1],
     }

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from qdenv.grid import inside_frame, unpad
+from qdenv.grid import inside_frame, pad
 from qdenv.simulation.mapf.planner import NOBODY, World
 from qdenv.types import Traffic
 
@@ -125,7 +125,7 @@ def recording_of(outcome: Outcome, active: jax.Array, world: World, timesteps: i
     An agent that takes no part (`active`, bool [A]) is nowhere, all zeros.
     """
     counters, heading, start, block, _ = outcome
-    cols = world.traversable.shape[1] - 2 * world.margin
+    cols = world.traversable.shape[1]
     row = jnp.minimum(jnp.arange(timesteps), jnp.maximum(counters.time - 1, 0))
     driven = (jnp.arange(timesteps) < counters.time)[:, None]
     # The last block may reach beyond T: then it knows the goals at T, else the fleet does.
@@ -134,12 +134,12 @@ def recording_of(outcome: Outcome, active: jax.Array, world: World, timesteps: i
     time = jnp.arange(timesteps + 1)
     goals = block.goals[jnp.minimum(time, total - 1)]
     goals = jnp.where((time < known)[:, None], goals, heading[None])
-    goals = jnp.where(goals == NOBODY, NOBODY, unpad(goals, cols, world.margin))
+    goals = jnp.where(goals == NOBODY, NOBODY, pad(goals, cols, -world.margin))
     positions = jnp.concatenate([start[None], block.positions[row]])
     remaining = jnp.concatenate([jnp.zeros_like(start)[None], block.remaining_service[row]])
     takes_part = active[None]
     return Recording(
-        positions=jnp.where(takes_part, unpad(positions, cols, world.margin), 0),
+        positions=jnp.where(takes_part, pad(positions, cols, -world.margin), 0),
         goals=jnp.where(takes_part, goals, 0),
         remaining_service=jnp.where(takes_part, remaining, 0),
         finished=block.finished[:timesteps] & driven & takes_part,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from qdenv.grid import pad, unpad
+from qdenv.grid import pad
 from qdenv.io.arrays import Column, read_arrays
 from qdenv.lazy import jax, jnp
 from qdenv.simulation.maze import world
@@ -191,7 +191,7 @@ def prepare(weights: Weights, layout: Array) -> Tables:
     pose, wins = jax.vmap(world.step, (None, 0, None))(
         kinds, world.Pose(place, heading), world.FORWARD
     )
-    ahead = unpad(pose.position, width, world.REACH) * 4 + heading
+    ahead = pad(pose.position, width + 2 * world.REACH, -world.REACH) * 4 + heading
     views = world.image(jax.vmap(world.view, (None, 0, 0))(kinds, place, heading))
     gates = encode(weights, views, jax.nn.one_hot(heading, 4))
     return Tables(jnp.asarray(layout), course, ahead, wins, gates)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdenv.grid import NUM_MOVES, move_steps, unpad
+from qdenv.grid import NUM_MOVES, move_steps, pad
 from qdenv.native import Numbers, formula, kernel, numbers
 from qdenv.simulation.mapf import chance
 from qdenv.simulation.mapf.metrics import Block
@@ -117,7 +117,7 @@ def place_agents(run: HostRun) -> None:
     grid, seed = run.grid, run.settings.seed
     count, cells = run.position.size, np.flatnonzero(grid.free)
     # Ranked by their places in the layout: a planner's margin changes no start.
-    places = unpad(cells, grid.width - 2 * grid.margin, grid.margin)
+    places = pad(cells, grid.width, -grid.margin)
     rank = chance.draw_on_host(chance.draw_on_host(seed, chance.STARTS), places) >> 1
     run.position[:] = cells[np.argsort(-rank.astype(int), kind="stable")[:count]]
     run.paths[:] = run.position[:, None]
