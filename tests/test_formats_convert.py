@@ -219,6 +219,7 @@ BAD = {
     "a.json": [
         ('{"mapFile": 1}', "names its mapFile"),
         ('{"layout": [".."], "tasks": 1}', "tasks"),
+        ('{"layout": [".."], "keep": "w"}', "keep: cannot be read"),
         ('{"layout": [".."], "facts": 1}', "facts: cannot be read"),
     ],
 }

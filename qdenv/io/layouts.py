@@ -122,25 +122,21 @@ def read_json_rows(path: Path) -> Drawing:
     content = content if isinstance(content, dict) else {"layout": content}
     if "mapFile" in content:  # a problem of the League of Robot Runners
         return cast(Drawing, find_reader(path, "lorr")(path))
-    drawings = {
-        name: value
-        for name, value in content.items()
-        if isinstance(value, list) and all(isinstance(row, str) for row in value)
-    }
     weights = content.get("weights")
-    if "layout" not in drawings and (weights is None or "layout" in content):
+    rows = content.get("layout", None if weights is None else [])
+    if not isinstance(rows, list) or not all(isinstance(row, str) for row in rows):
         raise damaged(path, 'expected an object with a list of strings under "layout", or the list')
     if weights is not None:
         weights = structured(weights, list[float], f"{path}, weights", infinite=True)
     domain = content["domain"] if isinstance(content.get("domain"), str) else None
-    keep = tuple(drawings.get("keep", ()))
+    keep = structured(content.get("keep", []), tuple[str, ...], f"{path}, keep")
     starts = structured(content.get("starts", []), tuple[int, ...], f"{path}, starts")
     tasks = structured(content.get("tasks", []), tuple[tuple[int, ...], ...], f"{path}, tasks")
     if not all(tasks):
         raise damaged(path, "a task has no cell")
     own = ("n_row", "n_col", "layout", "weights", "domain", "keep", "starts", "tasks")
     details = {name: value for name, value in content.items() if name not in own}
-    return Drawing(drawings.get("layout", []), domain, keep, weights, details, starts, tasks)
+    return Drawing(rows, domain, keep, weights, details, starts, tasks)
 
 
 def read_csv_rows(path: Path) -> Drawing:
