@@ -14,6 +14,8 @@ from experiments.pieces import Folders
 from experiments.polish import LEVELS, Row
 from experiments.published import FLEETS, TABLE_4, TRAFFIC
 from experiments.table_5 import TABLE
+from qdenv.domains.base import find_domain
+from qdenv.grid import checksum, parse
 from qdenv.io.records import read_table
 from qdenv.shipped import named
 from qdenv.simulation.mapf.settings import FleetConfig, PibtConfig
@@ -69,6 +71,14 @@ def layout(name: str) -> np.ndarray:
 def test_a_scores_sum_is_what_its_elites_have(run):
     last = rows(f"runs/{run}/metrics.csv")[-1]
     assert numbers(run, "objective").sum() == pytest.approx(float(last["qd_score"]), abs=0.05)
+
+
+def test_every_saved_simulation_is_of_a_saved_layout():
+    saved = {path.stem: content(f"layouts/{path.stem}") for path in RESULTS.glob("layouts/*.json")}
+    for path in (RESULTS / "traffic").glob("*.csv"):
+        of = {(row["layout"], row["domain"], row["tiles"]) for row in rows(f"traffic/{path.name}")}
+        for name, domain, tiles in of:
+            assert checksum(parse(saved[name]["layout"], find_domain(domain).tiles)) == tiles
 
 
 def test_what_would_raise_the_scores():
