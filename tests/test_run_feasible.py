@@ -31,7 +31,7 @@ def test_every_preset_is_feasible_and_follows_its_own_size_unchanged(name):
     ("changes", "said"),
     [
         ({"shelves": 1000}, "shelves must be at least 1000 but at most 204 fit"),
-        ({"shelves": -1}, "-1 shelves: give 0 or more"),
+        ({"shelves": -1}, "shelves must be at least 0, not -1"),
         ({"agents": 233}, "at most 232 free cells"),  # 17 x 16 less 40 shelves
         ({"rows": 0}, "0 x 16: choose 1 to 1000"),
         ({"cols": 1001}, "17 x 1001: choose 1 to 1000"),
