@@ -90,6 +90,14 @@ def require_package(what: str, package: str, extra: str = "viz") -> None:
         raise InputError(f'{what} need {package}: pip install "qdenv[{extra}]"')
 
 
+def to_array(values: Any, kind: type | None = None) -> np.ndarray:
+    """Make an array; an empty one if rows differ in length, or something is not of a `kind`."""
+    try:
+        return np.asarray(values, kind)
+    except (TypeError, ValueError):
+        return np.empty(0)
+
+
 class Tile(NamedTuple):
     """What one symbol of an alphabet means to people."""
 

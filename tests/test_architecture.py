@@ -265,10 +265,10 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 32_651,
+    "lines": 32_650,
     "files": 192,
     "records": 195,
-    "public names": 1_209,
+    "public names": 1_210,
     "class names used twice": 0,
     "functions of two lines": 322,
 }

@@ -17,7 +17,7 @@ from small_warehouse import ROWS
 from qdenv.cli.main import run
 from qdenv.interrupt import discard_unfinished
 from qdenv.io.files import reserve, tidy, write_json
-from qdenv.ops.output import AUTO, PICTURES, Place, format_table, place
+from qdenv.ops.output import AUTO, PICTURES, Place, format_table, place, place_folder
 from qdenv.shipped import HOME
 from qdenv.types import InputError
 
@@ -45,6 +45,13 @@ def test_folders_of_one_name_are_two_and_empty_ones_go(folder):
     assert list(map(str, made)) == ["runs/quick-1", "runs/quick-1-2"]
     discard_unfinished()
     assert os.listdir() == []
+    assert [str(place_folder(out, "series")) for out in (True, AUTO, "auto", "x")] == [
+        "series",
+        "series-2",
+        "series-3",
+        "x",
+    ]
+    discard_unfinished()
     full = reserve(Path("runs") / "quick-1", folder=True)
     (full / "file").touch()
     discard_unfinished()

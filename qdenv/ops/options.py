@@ -8,7 +8,6 @@ are marked here (`Mark`, `PlannerOptions`, `TaskOptions`), `qdenv.cli.rules` res
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
@@ -35,7 +34,7 @@ from qdenv.simulation.mapf.settings import (
 from qdenv.study.options import TIMESTEPS, Keep, parse_counts, parse_seeds, usual_fleet
 from qdenv.study.plans import Plan, close_parts, guide, name_guidance, with_tasks
 from qdenv.study.plans import read_plan as read_file
-from qdenv.types import InputError, look_up
+from qdenv.types import InputError, look_up, to_array
 from qdenv.view import parse_width
 
 if TYPE_CHECKING:
@@ -352,9 +351,7 @@ def read_plan(layout: Any, domain: str | None = None) -> Plan:
 
 def _check_tiles(layout: Any, domain: Domain) -> np.ndarray:
     """Return tiles as int8 [H, W]; InputError if they are none of the domain's."""
-    tiles = np.empty(0)
-    with contextlib.suppress(ValueError):  # rows of several lengths
-        tiles = np.asarray(layout)
+    tiles = to_array(layout)
     if tiles.ndim != 2 or tiles.dtype.kind not in "iu" or not tiles.size:
         raise InputError("a layout is an array of integers with rows and columns")
     if tiles.min() < 0 or tiles.max() >= len(domain.tiles):

@@ -125,7 +125,9 @@ def place_table(
 
 def place_folder(out: str | Path, default: str) -> Path:
     """Choose the folder of several results; raise InputError if it is a file, or read-only."""
-    folder = reserve(Path(default), folder=True) if out in (True, AUTO) else Path(out)
+    folder = AUTO if out is True else Path(out)
+    if folder == AUTO:
+        folder = reserve(Path(default), folder=True)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: that is a file: name a folder")
     refuse_inside(folder)

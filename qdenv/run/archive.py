@@ -1,6 +1,5 @@
 """The archive that a run saved: its elites by cell, by measures, or all as a table."""
 
-import contextlib
 import html
 import io
 import math
@@ -16,7 +15,7 @@ from qdenv.io.arrays import Column, read_arrays
 from qdenv.io.files import damaged, write_atomically, write_csv
 from qdenv.io.layouts import write_layout
 from qdenv.search.axes import inner_edges
-from qdenv.types import InputError, Measure, require_package
+from qdenv.types import InputError, Measure, require_package, to_array
 
 if TYPE_CHECKING:
     import pandas
@@ -189,10 +188,9 @@ class SavedArchive:
 
     def _nearest(self, values: Sequence[float]) -> int:
         """Find the row of the elite at some measures, or nearest to them."""
-        axes, point = self.schema.measures, np.empty(0)
-        with contextlib.suppress(TypeError, ValueError):
-            own = [*values.values()] if isinstance(values, Mapping) else values
-            point = np.asarray(own, float).reshape(-1)
+        axes = self.schema.measures
+        own = [*values.values()] if isinstance(values, Mapping) else values
+        point = to_array(own, float).reshape(-1)
         if point.shape != (len(axes),) or not np.isfinite(point).all():
             names = ", ".join(repr(axis.name) for axis in axes)
             raise InputError(f"measures {values}: give a number for each of {names}")

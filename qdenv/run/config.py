@@ -115,7 +115,7 @@ def override(config: RunConfig, settings: Mapping[str, Any]) -> RunConfig:
             continue
         if name in _CHOICES:
             value = _CHOICES[name].config(value) if isinstance(value, str) else value
-            _CHOICES[name].name_of(value)  # it refuses what is none
+            _CHOICES[name].name_of(value)  # refuses what is not registered
         every = list(_field_paths(config))
         paths = [tuple(name.split("__"))] if "__" in name else [p for p in every if p[-1] == name]
         if not paths:
@@ -280,9 +280,6 @@ def check(config: RunConfig) -> None:
     if config.seed < 0:  # `RunConfig` takes them, as old runs may have one
         raise InputError(f"seed {config.seed}: give 0 or more")
     domain = make_domain(settings)
-    for name, number in domain.numbers.items():
-        if number < 0:
-            raise InputError(f"{number} {name}: give 0 or more")
     if min(domain.generated_shape) < 1:
         raise InputError(f"{rows} x {cols} leaves no room inside the frame: give a larger size")
     domain.demand_plan()

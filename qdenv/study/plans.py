@@ -21,7 +21,7 @@ from qdenv.io.records import structured
 from qdenv.lazy import ndimage
 from qdenv.simulation.mapf.goals import BY_SHELF, rows_of_odds, task_odds
 from qdenv.study.options import Keep, keep_from
-from qdenv.types import Floor, InputError, about, choices
+from qdenv.types import Floor, InputError, about, choices, to_array
 
 USUAL = "hall"  # the domain where nothing says otherwise
 _MAZE = "maze-walls"  # what floor and walls alone are; a hall holds more
@@ -242,10 +242,7 @@ def guide(plan: Plan, guidance: Any = None) -> Plan:
     if guidance is not None:
         free, name = plan.domain.drivable(plan.layout), str(guidance)
         if not isinstance(guidance, str | Path):
-            costs = np.empty(0)
-            with contextlib.suppress(TypeError, ValueError):  # rows of several lengths, no numbers
-                costs = np.asarray(guidance, float)
-            plan = plan._replace(costs=costs, guidance="an array")
+            plan = plan._replace(costs=to_array(guidance, float), guidance="an array")
         elif name in GUIDANCE:
             tasks = plan.domain.simulator.tasks
             assert tasks is not None  # else no cell would be drivable
