@@ -65,9 +65,7 @@ def difference(ours: Sample, theirs: Sample) -> Difference:
     There is no interval if either mean has fewer than two runs, or if `theirs` may well be 0.
     """
     parts = np.square([ours.error, theirs.error])
-    if np.isnan(parts).any() or not parts.any():
-        freedom = np.nan
-    else:
+    with np.errstate(all="ignore"):  # NaN, and not used, without any error
         freedom = parts.sum() ** 2 / (parts**2 / [ours.runs - 1, theirs.runs - 1]).sum()
     return _ratio(ours.mean, theirs.mean, np.diag(parts), freedom)
 

@@ -14,7 +14,7 @@ from qdenv.grid import draw
 from qdenv.io.formats import write_drawing
 from qdenv.io.images import COLOURS
 from qdenv.io.layouts import MAX_SIDE, Drawing, read_drawing
-from qdenv.types import InputError
+from qdenv.types import InputError, Tile
 
 DOMAIN_NAMES = [name for name in DOMAINS.names() if name != "garden"]
 LIBRARIES = {".png": "PIL", ".xlsx": "openpyxl", ".dxf": "ezdxf"}
@@ -33,6 +33,14 @@ def test_what_was_written_comes_back(name, ending, tmp_path):
         assert write_drawing(path, drawing, domain.meanings) == []
         again = read_layout(path, domain.tiles, domain.meanings)
         np.testing.assert_array_equal(again, layout)
+
+
+@pytest.mark.parametrize("names", ["Rack rack", "rack/shelf wall", "floor wall"])
+def test_a_drawing_of_tiles_with_names_that_dxf_does_not_know_apart_comes_back(names, tmp_path):
+    pytest.importorskip("ezdxf")
+    meanings = dict(zip("@x", map(Tile, names.split()), strict=True))
+    assert write_drawing(tmp_path / "l.dxf", Drawing(["@x.", "x@@"]), meanings) == []
+    assert read_drawing(tmp_path / "l.dxf").rows == ["@x.", "x@@"]
 
 
 @pytest.mark.parametrize("ending", LIBRARIES)

@@ -46,12 +46,14 @@ def write_dxf(path: Path, drawing: Drawing, meanings: Mapping[str, Tile]) -> Non
     height, width = len(rows), len(rows[0])
     if sum(symbol not in BLANKS for symbol in "".join(rows)) > _MAX_SQUARES:
         raise InputError(f"{path}: more than {_MAX_SQUARES:,} tiles beside floor: write a .json")
-    document = _ezdxf().new("R2010", units=_METRES)
+    ezdxf = _ezdxf()
+    document = ezdxf.new("R2010", units=_METRES)
     used = sorted({*"".join(rows)})
     floor = next((symbol for symbol in used if symbol in BLANKS), ".")
-    every = dict.fromkeys((floor, *used))
-    layers = {symbol: meanings.get(symbol, Tile("floor")).name for symbol in every}
-    if len({*layers.values()}) < len(layers):  # of a plug-in that gives no names
+    layers = {one: meanings.get(one, Tile("floor")).name for one in (floor, *used)}
+    names = {name.casefold() for name in layers.values()}
+    allowed = map(ezdxf.lldxf.validator.is_valid_table_name, names)
+    if len(names) < len(layers) or not all(allowed):  # of a plug-in
         layers = {symbol: f"tile {ord(symbol)}" for symbol in layers}
     for symbol, colour in colours_of(used).items():
         document.layers.add(layers[symbol]).rgb = tuple(bytes.fromhex(colour[1:]))
