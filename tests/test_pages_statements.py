@@ -48,11 +48,6 @@ def test_the_pages_state_how_often_the_zoos_best_flow_under_the_papers_planner()
     runs = "{}, {} and {} runs succeed".format(*succeed)
     chosen = "each generator was chosen by the first of its 50"
     assert f"{runs}; {chosen} (paper: {', '.join(paper)} %)" in FRONT
-    ours = named("warehouse-even").collection.generators[0].sizes[-1].driven[0]
-    table = (
-        f"Table: {WORDS[ours.runs]} runs of {ours.timesteps:,} timesteps under our planner, none"
-    )
-    assert f"{table} congested" in FRONT
 
 
 def test_the_page_states_where_the_layout_designed_by_hand_moves_more():
@@ -131,7 +126,7 @@ def test_the_page_of_improvements_states_gains_where_shelves_are_alike_and_jams(
     for hers, ours in zip(moved[::2], moved[1::2], strict=True):
         assert f"* {ours} instead of {hers} " in text
     gains = [float(row["percent"]) for row in found[::2]]
-    assert f"[{min(gains):.0f} to {max(gains):.0f} % more tasks](" in FRONT
+    assert f"[{min(gains):.0f} to {max(gains):.0f} % more tasks with all shelves moved](" in FRONT
     better = {}
     for section in ("lanes", "racks", "rows", "floor"):
         saved = rows("improve.csv", section=section)[::2]
