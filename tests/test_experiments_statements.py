@@ -2,7 +2,9 @@
 
 import csv
 import json
+import math
 import re
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -13,8 +15,10 @@ from experiments.figure_19 import USAGE
 from experiments.pieces import Folders
 from experiments.polish import LEVELS, Row
 from experiments.published import FLEETS, TABLE_4, TRAFFIC
+from experiments.runs import run_of
 from experiments.table_5 import TABLE
 from qdenv.domains.base import find_domain
+from qdenv.generators import GENERATORS
 from qdenv.grid import checksum, parse
 from qdenv.io.records import read_table
 from qdenv.shipped import named
@@ -163,6 +167,10 @@ def test_what_alpha_costs_and_brings():
     text = "moves {:.1f}, {:.1f} and {:.1f} % less than with 1 (seeds 0, 1 and 2), of "
     text += "`warehouse-uneven` {:.1f}, {:.1f} and {:.1f} % more."
     assert text.format(*less[:3], *np.negative(less[3:])) in PAGE
+    for domain in FLEETS[:2]:
+        none, one, *five = (numbers(f"{domain}{end}", "changed").mean() for end in ALPHAS)
+        assert none > one > max(five)
+    assert "the larger it is, the fewer cells of the mean elite are the repair's" in PAGE
     none, one, *even = (numbers(f"warehouse-even{end}", "objective") for end in ALPHAS)
     scores = sorted(each.sum() for each in even)
     assert scores[0] < min(none.sum(), one.sum()) and max(none.sum(), one.sum()) < scores[-1]
@@ -462,6 +470,14 @@ def test_the_page_states_the_peaks_and_what_congests():
     assert f"{hand} with {more} robots against {grown} with {robots}, 6 % (1 to 10)" in PAGE
     rate = np.array(content("courses/warehouse-uneven-human-33x36-200")["tasks"][:4]) / 100 / 50
     assert f"from {rate[1]:.1f} tasks per timestep to {rate[3]:.1f} within 200" in PAGE
+    late = np.array(content("courses/warehouse-uneven-human-33x36-200")["tasks"][4:]) / 100 / 50
+    assert late.min() > 2.9 and late.max() < 3.2 and "within 200 timesteps and stays there" in PAGE
+    for domain in FLEETS:
+        hand, grown = (content(f"courses/{domain}-{one}-33x36-200") for one in ("human", "nca"))
+        assert (hand["congested"], grown["congested"]) == (0, 0)
+        assert hand["runs"] == grown["runs"] == 100 and sum(hand["tasks"]) < sum(grown["tasks"])
+        flow = np.array(grown["tasks"][20:]).reshape(4, -1).sum(1)
+        assert flow.max() / flow.min() < 1.01, flow
     names = sorted(path.stem for path in (RESULTS / "courses").glob("*-published.json"))
     pbs = [content(f"courses/{name}") for name in names]
     rates = [np.sum(one["tasks"]) / one["runs"] / 5000 for one in pbs]  # by domain, human first
@@ -540,6 +556,16 @@ def test_the_page_states_layouts_repairs_and_mazes():
         (row[0], row[1]): [float(row[n].split()[0]) for n in (4, 5)] for row in table("runtimes")
     }
     fleets = ("warehouse-even", "warehouse-uneven", "manufacturing")
+    for domain in fleets:
+        own = [row for row in table("runtimes") if row[0] == domain]
+        cells = np.array([math.prod(map(int, row[1].split(" x "))) for row in own])
+        growth, repair = np.array([spent[domain, row[1]] for row in own]).T
+        growth /= cells * np.array([int(row[2]) for row in own])
+        # The smallest growth is written in hundredths of a second, of which it has two or three.
+        for each in (growth[1:], repair / cells):
+            assert each.max() / each.min() < 1.5
+    assert "about in proportion to the cells times the steps" in PAGE
+    assert "and 1.2 to 1.8, about in proportion to the cells." in PAGE
     for size, grown, repaired in (
         ("33 x 36", "0.02 to 0.03", "0.1 to 0.2"),
         ("101 x 102", "0.83 to 0.95", "1.2 to 1.8"),
@@ -581,10 +607,13 @@ def test_the_notes_state_algorithms_and_planners():
     (tiled,) = rows("congestion.csv", layout="warehouse_even_nca_a5_tiled")
     assert f"tiled and repaired here, {tiled['successes']} of {tiled['runs']} runs succeed" in NOTES
     small, large = (np.array(re.findall(rf"{one} \| (\d+) [(]", NOTES), float) for one in KERNELS)
-    text = (
-        "{:.1f} times the QD-score of the small ones in 300 evaluations of `laptop`, {:.1f} times"
-    )
-    assert text.format(*(large / small)) in PAGE
+    text = "{:.1f} times the QD-score of the small ones in 300 evaluations of `laptop`, {:.1f} "
+    assert f"{text}times in 600 of `quick`".format(*(large / small)) in PAGE
+    for domain in map(find_domain, FLEETS):
+        ours = run_of(domain.name).config.evaluation.generator
+        both = (replace(ours, kernel_sizes=one) for one in ((3, 1, 1), (3, 3, 3)))
+        few, many = (GENERATORS.make(one, domain.canvas).size for one in both)
+        assert round(few / many, 1) == 0.2 and "and a fifth of the weights" in PAGE
     score = {row["algorithm"]: f"{float(row['qd_score']):.0f}" for row in rows("algorithms.csv")}
     text = "here with its default learning rate, {random} and {cma-me} against {cma-mae} ± 24)"
     assert text.format(**score) in PAGE
