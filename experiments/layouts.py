@@ -67,8 +67,8 @@ class SavedLayout(Piece):
     file = "layouts/{0.stem}.json"
     domain: str  # its name
     # one of `GROWERS`, "human", "tiled", "random-0" and so on (a random maze like that of "nca"),
-    # "seed" (what automata grow from), "cma-mae" or the end of a preset's name: "a0", "a1",
-    # "cma-es", "dsage", whose run's best elite draws it
+    # "seed" (what automata grow from), "cma-mae", which has seed 1, "cma-mae-2", which has seed 2,
+    # or the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose run's best elite draws it
     maker: str
     shape: tuple[int, int] = S  # rows and columns
 
@@ -110,8 +110,8 @@ class SavedLayout(Piece):
 
     def run(self) -> SavedRun:
         """Return the run whose best elite draws it; weights of CMA-MAE's seed 0 are not saved."""
-        if self.maker == "cma-mae":
-            return replace(run_of(self.domain), seed=1)
+        if self.maker.startswith("cma-mae"):
+            return replace(run_of(self.domain), seed=int(self.maker[8:] or 1))
         return run_of(self.domain, self.maker)
 
     def seconds(self, folders: Folders) -> float:
