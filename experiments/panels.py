@@ -65,7 +65,7 @@ _WAREHOUSES = {
     shape: [
         Panel(f"{kind}, alpha = {alpha}", SavedLayout(f"warehouse-{kind}", maker, shape))
         for kind in ("even", "uneven")
-        for alpha, maker in {0: "a0", 1: "a1", 5: "nca"}.items()
+        for alpha, maker in {0: "a0", 1: "a1", 5: "cma-mae-2"}.items()
     ]
     for shape in (S, S_EVAL)
 }

@@ -112,17 +112,15 @@ def test_scores_half_way_and_early():
         assert re.search(
             f"; {(entropy < 0.5).sum()} of {len(entropy):,}[^;]*; [a-z ]*{best:.3f}", PAGE
         )
-    since, elites, whole = [], [], set()
-    for run in ("manufacturing", "manufacturing-seed1"):
-        above = (
-            numbers(run, "qd_score", "metrics.csv") > TABLE_4["manufacturing", "cma-mae"].qd_score
-        )
-        since.append(numbers(run, "evaluations", "metrics.csv")[above].min())
-        elites.append(len(numbers(run, "objective")))
-        whole.add(f"{numbers(run, 'objective').sum():,.0f}")
-    text = "are above the published mean since {:,.0f} and {:,.0f} evaluations. That both have {} "
-    text += "is chance: they have {:,} and {:,} elites."
-    assert text.format(*since, *whole, *elites) in PAGE
+    runs = [f"manufacturing{end}" for end in SEEDS]
+    mean = TABLE_4["manufacturing", "cma-mae"].qd_score
+    above = (numbers(run, "qd_score", "metrics.csv") > mean for run in runs)
+    times = (numbers(run, "evaluations", "metrics.csv") for run in runs)
+    since = (time[late].min() for time, late in zip(times, above, strict=True))
+    found = [numbers(run, "objective") for run in runs]
+    text = "2 have {:,.0f}, {:,.0f} and {:,.0f} with {:,}, {:,} and {:,} elites, and exceed the "
+    text += "published mean since {:,.0f}, {:,.0f} and {:,.0f} evaluations."
+    assert text.format(*map(sum, found), *map(len, found), *since) in PAGE
     others = [f"warehouse-even{end}" for end in ("", "-cma-es", "-map-elites", "-dsage")]
     scores = [score_after(run, 1000) for run in others]
     sentence = "of {:,.0f}, CMA-ES {:,.0f}, MAP-Elites (of the preset `warehouse-even-map-elites`, "
@@ -521,7 +519,7 @@ def test_the_page_states_the_peaks_and_what_congests():
 
 
 def test_the_page_states_layouts_repairs_and_mazes():
-    plan = layout("warehouse-uneven-nca-33x36")
+    plan = layout("warehouse-uneven-cma-mae-2-33x36")
     left = plan[:, : plan.shape[1] // 2]
     endpoints, shelves = (left == "e").sum(), (plan == "@").sum() - (left == "@").sum()
     assert f"has {endpoints} of its {(plan == 'e').sum()} endpoints in the left half" in PAGE
@@ -535,22 +533,29 @@ def test_the_page_states_layouts_repairs_and_mazes():
             assert f"the one by hand has {hand:,} shelves, the grown one {grown:,}; at" in PAGE
         else:
             assert abs(hand - grown) <= 1
-    changed = {(row[0], row[1]): int(row[4]) for row in table("figure_12") + table("figure_23")}
-    for maker, text in (
-        ("a0", "{:,} cells with alpha = 0, where"),
-        ("a1", "{} with alpha = 1, where"),
-    ):
-        assert text.format(changed["warehouse-even", maker]) in PAGE
-    five = content("layouts/warehouse-even-cma-mae-101x102")["changed"]
-    assert f"and {five:,} with alpha = 5 (seed 1). In" in PAGE
-    names = (f"warehouse-uneven-{maker}-101x102" for maker in ("a0", "a1", "cma-mae"))
-    none, one, five = (content(f"layouts/{name}") for name in names)
-    text = "it changed {:,} cells with alpha = 0, where nine tenths of what the automaton draws are"
-    text += " endpoints, {:,} with alpha = 1, where seven tenths are, and {:,} with alpha = 5"
-    assert text.format(*(each["changed"] for each in (none, one, five))) in PAGE
-    for tenths, each in ((9, none), (7, one)):
-        drawn = "".join(row[2:-2] for row in each["unrepaired"])  # without the borders
-        assert round(10 * drawn.count("e") / len(drawn)) == tenths
+    makers = "a0", "a1", "cma-mae-2", "cma-mae"
+    drawn = {
+        (domain, maker): content(f"layouts/{domain}-{maker}-101x102")
+        for domain, maker in (*product(FLEETS[:2], makers), ("warehouse-even", "cma-es"))
+    }
+    changed = {key: f"{one['changed']:,}" for key, one in drawn.items()}
+    text = "{} cells with alpha = 0, where the layout falls into two patterns, {} with alpha = 1, "
+    text += "where it falls into three fields of one pattern, and with alpha = 5 {} cells of seed "
+    text += "2's, which has one pattern, and {} of seed 1's."
+    assert text.format(*(changed["warehouse-even", maker] for maker in makers)) in PAGE
+    text = "it changed {} cells with alpha = 0, where nine tenths of what the automaton draws are "
+    text += "endpoints, {} with alpha = 1, where seven tenths are, and with alpha = 5 {} of seed "
+    text += "2's, where four tenths are shelves and hardly any endpoints, and {} of seed 1's."
+    assert text.format(*(changed["warehouse-uneven", maker] for maker in makers)) in PAGE
+    shares = [
+        {symbol: round(10 * inside.count(symbol) / len(inside)) for symbol in "e@"}
+        for maker in makers[:3]
+        # Without the borders.
+        if (inside := "".join(row[2:-2] for row in drawn["warehouse-uneven", maker]["unrepaired"]))
+    ]
+    assert [one["e"] for one in shares] == [9, 7, 0] and shares[2]["@"] == 4
+    best = [max(SEEDS, key=lambda end: score_after(f"{one}{end}", 10_000)) for one in FLEETS[:2]]
+    assert best == ["-seed2", "-seed2"] and "2's, whose QD-score is the highest of three" in PAGE
     assert f"with {changed['warehouse-even', 'cma-es']} cells changed" in PAGE
     spent = {
         (row[0], row[1]): [float(row[n].split()[0]) for n in (4, 5)] for row in table("runtimes")
