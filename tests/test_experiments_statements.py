@@ -523,6 +523,14 @@ def test_the_page_states_layouts_repairs_and_mazes():
     left = plan[:, : plan.shape[1] // 2]
     endpoints, shelves = (left == "e").sum(), (plan == "@").sum() - (left == "@").sum()
     assert f"has {endpoints} of its {(plan == 'e').sum()} endpoints in the left half" in PAGE
+    entropies = []
+    for run in map("".join, product(FLEETS[:2], ALPHAS)):
+        best = numbers(run, "objective").argmax()
+        entropies.append(numbers(run, "environment entropy")[best])
+    text = "{:.2f} (alpha = 0), {:.2f} (1), {:.2f}, {:.2f} and {:.2f} (5, seeds 0 to 2), of "
+    text += "`warehouse-uneven`'s {:.2f}, {:.2f}, {:.2f}, {:.2f} and {:.2f}. There"
+    assert text.format(*entropies) in PAGE
+    assert all(max(own[2:]) < min(own[:2]) for own in np.split(np.array(entropies), 2))
     assert f"and {shelves} of its {(plan == '@').sum()} shelves in the right" in PAGE
     for domain, size, *_ in table("figure_18")[:14]:
         hand, grown = (
