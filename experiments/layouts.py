@@ -32,6 +32,8 @@ FIRST_ZOO = Path(__file__).parent / "results" / "zoo"
 # Makers of layouts: its best at S_eval, the one that moves most at S where that is another, and the
 # best of the zoo that ships.
 GROWERS = ("nca", "nca-s", "zoo")
+# Makers of warehouses by CMA-MAE, with the seeds of their runs: seed 0's weights are not saved.
+CMA_MAE = {"cma-mae": 1, "cma-mae-2": 2}
 _longest_path = jax.jit(longest_path)
 SECONDS = {S: 4.0, S_EVAL: 10.0}  # CPU seconds of growing and repairing
 
@@ -67,8 +69,8 @@ class SavedLayout(Piece):
     file = "layouts/{0.stem}.json"
     domain: str  # its name
     # one of `GROWERS`, "human", "tiled", "random-0" and so on (a random maze like that of "nca"),
-    # "seed" (what automata grow from), "cma-mae", which has seed 1, "cma-mae-2", which has seed 2,
-    # or the end of a preset's name: "a0", "a1", "cma-es", "dsage", whose run's best elite draws it
+    # "seed" (what automata grow from), one of `CMA_MAE` or the end of a preset's name: "a0", "a1",
+    # "cma-es", "dsage", whose run's best elite draws it
     maker: str
     shape: tuple[int, int] = S  # rows and columns
 
@@ -109,9 +111,9 @@ class SavedLayout(Piece):
         return ""
 
     def run(self) -> SavedRun:
-        """Return the run whose best elite draws it; weights of CMA-MAE's seed 0 are not saved."""
-        if self.maker.startswith("cma-mae"):
-            return replace(run_of(self.domain), seed=int(self.maker[8:] or 1))
+        """Return the run whose best elite draws it."""
+        if self.maker in CMA_MAE:
+            return replace(run_of(self.domain), seed=CMA_MAE[self.maker])
         return run_of(self.domain, self.maker)
 
     def seconds(self, folders: Folders) -> float:

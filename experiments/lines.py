@@ -27,7 +27,7 @@ LOOKS = {
     "nca": Look("CMA-MAE + NCA, first zoo", "#0072B2", "-", "o"),
     "nca-s": Look("CMA-MAE + NCA, first zoo's best at S", "#56B4E9", "-", "D"),
     "zoo": Look("CMA-MAE + NCA, zoo", "#56B4E9", ":", "o"),
-    "cma-mae": Look("CMA-MAE + NCA", "#000000", "-", "x"),
+    "cma-mae": Look("CMA-MAE + NCA, seed 1", "#000000", "-", "x"),
     "cma-mae-2": Look("CMA-MAE + NCA, seed 2", "#000000", ":", "+"),
     "a1": Look("CMA-MAE + NCA, alpha = 1", "#999999", "--", "x"),
     "a0": Look("CMA-MAE + NCA, alpha = 0", "#999999", ":", "x"),

@@ -65,7 +65,7 @@ def difference(ours: Sample, theirs: Sample) -> Difference:
     There is no interval if either mean has fewer than two runs, or if `theirs` may well be 0.
     """
     parts = np.square([ours.error, theirs.error])
-    with np.errstate(all="ignore"):  # NaN, and not used, without any error
+    with np.errstate(all="ignore"):  # unused where an error is unknown, or both are 0
         freedom = parts.sum() ** 2 / (parts**2 / [ours.runs - 1, theirs.runs - 1]).sum()
     return _ratio(ours.mean, theirs.mean, np.diag(parts), freedom)
 

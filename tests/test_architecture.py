@@ -265,7 +265,7 @@ def test_no_pickle_and_no_fork():
 # What the package measures today. Each number may only fall: whoever needs more changes it in the
 # commit that says why, whoever needs less lowers it.
 MOST = {
-    "lines": 32_650,
+    "lines": 32_647,
     "files": 192,
     "records": 195,
     "public names": 1_210,

@@ -179,10 +179,10 @@ def with_tasks(plan: Plan, settings: Mapping[str, Any]) -> Plan:
         assert plain is not None  # else there is no demand
         if isinstance(demand, str | Path):
             demand = read_demand(demand, np.asarray(plain.cycle[0].weight(plan.layout)) > 0)
-        try:
-            changes["demand"] = rows_of_odds(np.asarray(demand, float))
-        except (TypeError, ValueError):
-            raise InputError("demand: give rows of numbers, one for each cell") from None
+        odds = to_array(demand, float)
+        if odds.ndim != 2:
+            raise InputError("demand: give rows of numbers, one for each cell")
+        changes["demand"] = rows_of_odds(odds)
     if changes.get("demand", BY_SHELF) not in ((), BY_SHELF):  # a map of places fits one size
         changes |= dict(zip(("rows", "cols"), plan.layout.shape, strict=True))
     return plan._replace(domain=make_domain(replace(domain.config, **changes)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from qdenv.grid import by_tile, count_neighbours, of_tiles
 from qdenv.lazy import ndimage
-from qdenv.types import Array, Goal, InputError, TaskRule
+from qdenv.types import Array, Goal, InputError, TaskRule, to_array
 
 GoalOdds = Literal["endpoints", "stations"]
 _MOST_ODDS = 1e30  # of a cell: single precision holds the sum over a plan
@@ -82,11 +82,8 @@ def weigh(goal: Goal, rows: Sequence[str], shape: tuple[int, int]) -> Goal:
         cols = " or ".join(map(str, sorted(widths)))
         size = "{} x {}".format(*shape)
         raise InputError(f"the demand has {len(lines)} x {cols} numbers, the plan {size} cells")
-    try:
-        exact = np.array(lines, float)
-    except ValueError:
-        exact = np.full(shape, np.nan)
-    if not ((exact >= 0) & (exact <= _MOST_ODDS)).all():
+    exact = to_array(lines, float)  # empty where something is no number
+    if not exact.size or not ((exact >= 0) & (exact <= _MOST_ODDS)).all():
         raise InputError(f"each number of the demand must be 0 or more, at most {_MOST_ODDS:g}")
     odds = exact.astype(np.float32)
     if not odds.any():
